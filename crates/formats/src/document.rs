@@ -1,0 +1,287 @@
+//! A graph file in memory.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::sync::Arc;
+
+use crate::check::{self, Finding, Kinds};
+use crate::error::{FormatError, Place};
+use crate::options::{Dialect, G2oRotation, ReadOptions};
+use crate::parse;
+use crate::record::{Kind, Record, WeightKind};
+
+/// The records of a graph file, in the order of its lines and in the file's own numbers.
+///
+/// What a document holds fits together: each variable is of one kind, edges lead from poses to
+/// variables that are there, matrices and quaternions are usable. Writing the dialect that was read
+/// gives equal records, bit for bit.
+///
+/// ```
+/// use evergraph_formats::{Document, ReadOptions};
+/// # fn main() -> Result<(), evergraph_formats::FormatError> {
+/// let text = "EDGE_SE2 0 1 1 0 0 100 0 0 100 0 400\n";
+/// let document = Document::parse("two poses", text.as_bytes(), &ReadOptions::default())?;
+/// assert_eq!((document.summary().poses, document.summary().pose_edges), (2, 1));
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug)]
+pub struct Document {
+    pub(crate) name: Arc<str>,
+    pub(crate) dialect: Dialect,
+    pub(crate) isam_matrix: WeightKind,
+    pub(crate) g2o_rotation: G2oRotation,
+    pub(crate) lines: Vec<(usize, Record)>,
+    pub(crate) kinds: Kinds,
+    pub(crate) summary: Summary,
+    pub(crate) skipped: Vec<Skipped>,
+}
+
+/// What a document holds, counted.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Summary {
+    /// Lines of the file, blank ones included.
+    pub lines: usize,
+    /// Poses, with a VERTEX line or named by an edge.
+    pub poses: usize,
+    /// Landmarks, with a VERTEX line or named by an edge.
+    pub landmarks: usize,
+    /// VERTEX lines.
+    pub vertices: usize,
+    /// Edges between poses.
+    pub pose_edges: usize,
+    /// Observations of landmarks.
+    pub landmark_edges: usize,
+    /// Ids that FIX lines name.
+    pub fixed: usize,
+    /// PARAMS lines.
+    pub offsets: usize,
+    /// Lines of tags that are recognized and passed over, and `#` lines, by tag.
+    pub ignored: BTreeMap<String, usize>,
+    /// Bad lines that were skipped because reading was lenient.
+    pub skipped: usize,
+    /// Information matrices that are indefinite by what the printed digits rounded away; where
+    /// they are used, the negative part is taken as zero.
+    pub clipped: usize,
+    /// Quaternions whose length is off by more than 0.001; where they are used, they are
+    /// normalized.
+    pub long_quaternions: usize,
+}
+
+impl Summary {
+    /// What a user should hear about, a sentence each.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if self.skipped > 0 {
+            warnings.push(format!("{} bad lines were skipped", self.skipped));
+        }
+        if self.clipped > 0 {
+            warnings.push(format!(
+                "{} information matrices have a negative eigenvalue that the printed digits explain; it is taken as zero",
+                self.clipped
+            ));
+        }
+        if self.long_quaternions > 0 {
+            warnings.push(format!(
+                "{} quaternions are off unit length by more than {}; they are normalized",
+                self.long_quaternions,
+                check::QUATERNION_TOLERANCE
+            ));
+        }
+        warnings
+    }
+}
+
+/// A line that was skipped because reading was lenient.
+#[derive(Debug)]
+pub struct Skipped {
+    /// The line, from 1.
+    pub line: usize,
+    /// What is wrong with it.
+    pub error: FormatError,
+}
+
+/// What reading gathers before the records are reconciled.
+#[derive(Default)]
+pub(crate) struct Contents {
+    pub dialect: Option<Dialect>,
+    pub lines: Vec<(usize, Record)>,
+    pub total_lines: usize,
+    pub summary: Summary,
+    pub skipped: Vec<Skipped>,
+}
+
+impl Contents {
+    pub fn ignore(&mut self, tag: &str) {
+        match self.summary.ignored.get_mut(tag) {
+            Some(count) => *count += 1,
+            None => {
+                self.summary.ignored.insert(tag.to_string(), 1);
+            }
+        }
+    }
+
+    pub fn note(&mut self, finding: Finding) {
+        self.summary.clipped += usize::from(finding.clipped);
+        self.summary.long_quaternions += usize::from(finding.long_quaternion);
+    }
+}
+
+impl Document {
+    /// Reads a graph file, a line at a time.
+    ///
+    /// # Errors
+    /// [`FormatError::Read`], and whatever is wrong with a line; with [`ReadOptions::lenient`] bad
+    /// lines are skipped instead, and a file without any good line is [`FormatError::Empty`].
+    pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Self, FormatError> {
+        let path = path.as_ref();
+        let name = path.display().to_string();
+        let open = |source| FormatError::Read { file: name.as_str().into(), source };
+        let file = File::open(path).map_err(open)?;
+        Self::parse(&name, BufReader::with_capacity(1 << 16, file), options)
+    }
+
+    /// Reads a graph from anything that gives bytes, such as `text.as_bytes()`; `name` stands for
+    /// the file in messages.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn parse(
+        name: &str,
+        reader: impl BufRead,
+        options: &ReadOptions,
+    ) -> Result<Self, FormatError> {
+        let name: Arc<str> = name.into();
+        let contents = parse::read(&name, reader, options)?;
+        let document = Self::reconcile(name, contents, options)?;
+        if document.kinds.is_empty() {
+            let ignored =
+                document.summary.skipped + document.summary.ignored.values().sum::<usize>();
+            return Err(FormatError::Empty { file: document.name, ignored });
+        }
+        Ok(document)
+    }
+
+    /// A document of records that were not read from a file, checked as a file's are.
+    ///
+    /// `dialect` says what the records are meant for; each may be in any form that can be converted
+    /// to it. Lines are numbered from 1, as the records would be written.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read), for what a record can be wrong about.
+    pub fn from_records(
+        name: &str,
+        dialect: Dialect,
+        records: Vec<Record>,
+    ) -> Result<Self, FormatError> {
+        let name: Arc<str> = name.into();
+        let mut contents = Contents { dialect: Some(dialect), ..Contents::default() };
+        for (index, record) in records.iter().enumerate() {
+            let place = Place { file: Arc::clone(&name), line: index + 1 };
+            let finding = check::inspect(record, record.name(), &place, Vec::new)?;
+            contents.note(finding);
+        }
+        contents.total_lines = records.len();
+        contents.lines =
+            records.into_iter().enumerate().map(|(index, record)| (index + 1, record)).collect();
+        Self::reconcile(name, contents, &ReadOptions::default())
+    }
+
+    pub(crate) fn reconcile(
+        name: Arc<str>,
+        mut contents: Contents,
+        options: &ReadOptions,
+    ) -> Result<Self, FormatError> {
+        let mut lines = std::mem::take(&mut contents.lines);
+        let dialect = contents.dialect.unwrap_or(Dialect::G2o);
+        let numbered_apart = dialect == Dialect::Isam;
+        let kinds = check::reconcile(&name, &mut lines, numbered_apart, |error| {
+            let line = error.line();
+            contents.reject(error, line, options.lenient)
+        })?;
+        contents.summary.lines = contents.total_lines;
+        contents.summary.count(&lines, &kinds);
+        contents.skipped.sort_by_key(|skipped| skipped.line);
+        Ok(Self {
+            name,
+            dialect,
+            isam_matrix: options.isam_matrix,
+            g2o_rotation: options.g2o_rotation,
+            lines,
+            kinds,
+            summary: contents.summary,
+            skipped: contents.skipped,
+        })
+    }
+
+    /// The file's name, as the caller gave it.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The dialect that the records were read from, or are meant for.
+    pub fn dialect(&self) -> Dialect {
+        self.dialect
+    }
+
+    /// The records with the lines they stand in; 0 for a record that was added later.
+    pub fn lines(&self) -> &[(usize, Record)] {
+        &self.lines
+    }
+
+    /// The records.
+    pub fn records(&self) -> impl ExactSizeIterator<Item = &Record> {
+        self.lines.iter().map(|(_, record)| record)
+    }
+
+    /// What there is, counted.
+    pub fn summary(&self) -> &Summary {
+        &self.summary
+    }
+
+    /// The bad lines that were skipped, in the order of the file; the first 1000 of them.
+    pub fn skipped(&self) -> &[Skipped] {
+        &self.skipped
+    }
+
+    /// What a variable is, if it is here. Where a pose and a landmark have the same id, as in some
+    /// iSAM files, which number them apart, it is the pose.
+    pub fn kind(&self, id: u64) -> Option<Kind> {
+        self.kinds.get(&(id, true)).or(self.kinds.get(&(id, false))).copied()
+    }
+
+    /// All variables, by id, a pose before a landmark.
+    pub fn ids(&self) -> Vec<(u64, Kind)> {
+        let mut ids: Vec<(u64, Kind)> =
+            self.kinds.iter().map(|(slot, kind)| (slot.0, *kind)).collect();
+        ids.sort_unstable_by_key(|(id, kind)| (*id, !kind.is_pose()));
+        ids
+    }
+
+    pub(crate) fn place(&self, line: usize) -> Place {
+        Place { file: Arc::clone(&self.name), line }
+    }
+}
+
+impl Summary {
+    pub(crate) fn count(&mut self, lines: &[(usize, Record)], kinds: &Kinds) {
+        self.poses = kinds.values().filter(|kind| kind.is_pose()).count();
+        self.landmarks = kinds.len() - self.poses;
+        (self.vertices, self.pose_edges, self.landmark_edges) = (0, 0, 0);
+        (self.fixed, self.offsets) = (0, 0);
+        for (_, record) in lines {
+            let counter = match record {
+                Record::Vertex { .. } => &mut self.vertices,
+                Record::Edge { measurement, .. } if measurement.kind().is_pose() => {
+                    &mut self.pose_edges
+                }
+                Record::Edge { .. } => &mut self.landmark_edges,
+                Record::Fix { .. } => &mut self.fixed,
+                Record::SensorOffset { .. } => &mut self.offsets,
+            };
+            *counter += 1;
+        }
+    }
+}

@@ -1,0 +1,360 @@
+//! What can be wrong with a graph file, in words that say where and what to do.
+
+use std::fmt;
+use std::io;
+use std::sync::Arc;
+
+use evergraph_model::VariableId;
+use thiserror::Error;
+
+use crate::options::Dialect;
+
+/// A line of a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// The file's name, as the caller gave it.
+    pub file: Arc<str>,
+    /// The line, from 1; 0 for a record that was not read from a line.
+    pub line: usize,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}", self.file, self.line)
+    }
+}
+
+/// A field of a line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Field {
+    /// The line's tag.
+    pub tag: &'static str,
+    /// The number of the field; the first after the tag is 1.
+    pub number: usize,
+    /// What the field is called, for example `theta` or `I12`.
+    pub name: &'static str,
+    /// What stands there, cut to 40 characters.
+    pub text: Box<str>,
+}
+
+impl fmt::Display for Field {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "field {} ({}) of {} is `{}`", self.number, self.name, self.tag, self.text)
+    }
+}
+
+/// Why a file could not be read, written or replayed.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum FormatError {
+    /// The file could not be opened or read.
+    #[error("{file}: cannot be read: {source}")]
+    Read {
+        /// The file.
+        file: Arc<str>,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The file could not be created or written.
+    #[error("{file}: cannot be written: {source}")]
+    Write {
+        /// The file.
+        file: Arc<str>,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The name's extension names no format.
+    #[error(
+        "{file}: the extension does not say which format to write; use .g2o, .graph or .toro (TORO), or .txt (iSAM)"
+    )]
+    UnknownExtension {
+        /// The file.
+        file: Arc<str>,
+    },
+    /// There is no graph in the file.
+    #[error(
+        "{file}: no vertex or edge line was found ({ignored} lines were passed over); is this a g2o, TORO or iSAM graph?"
+    )]
+    Empty {
+        /// The file.
+        file: Arc<str>,
+        /// Lines that hold no vertex or edge, bad ones included.
+        ignored: usize,
+    },
+    /// A line is not text.
+    #[error(
+        "{place}: the line is not text (it holds {what}); is this a binary or compressed file? Unpack it first"
+    )]
+    NotText {
+        /// Where.
+        place: Place,
+        /// What makes it so.
+        what: &'static str,
+    },
+    /// A line is longer than any line of a graph.
+    #[error(
+        "{place}: the line is longer than {limit} bytes, which no line of a graph is; is this a graph file?"
+    )]
+    LineTooLong {
+        /// Where.
+        place: Place,
+        /// The longest line that is read.
+        limit: usize,
+    },
+    /// A tag that no supported format has.
+    #[error(
+        "{place}: `{tag}` is no line of a g2o, TORO or iSAM graph that is supported; remove such lines, or read leniently to skip and count them"
+    )]
+    UnknownTag {
+        /// Where.
+        place: Place,
+        /// The tag, cut to 40 characters.
+        tag: Box<str>,
+    },
+    /// A tag of another dialect than the file's.
+    #[error(
+        "{place}: `{tag}` belongs to another dialect; the file is {dialect} {because}. Keep to one dialect, or name it with the format option (TORO files list their vertices before the first edge)"
+    )]
+    MixedDialects {
+        /// Where.
+        place: Place,
+        /// The tag.
+        tag: &'static str,
+        /// The file's dialect.
+        dialect: Dialect,
+        /// How that is known.
+        because: String,
+    },
+    /// Too few or too many fields.
+    #[error(
+        "{place}: {tag} has {found} fields after the tag, not {expected}; is the line cut off, or are two lines run together? Its fields are `{layout}`"
+    )]
+    FieldCount {
+        /// Where.
+        place: Place,
+        /// The tag.
+        tag: &'static str,
+        /// How many there should be.
+        expected: String,
+        /// How many there are.
+        found: usize,
+        /// The fields in order.
+        layout: &'static str,
+    },
+    /// A field that should be a number is not.
+    #[error("{place}: {field}, which is not a number; correct or remove the line")]
+    NotANumber {
+        /// Where.
+        place: Place,
+        /// The field.
+        field: Box<Field>,
+    },
+    /// A number is infinite or NaN.
+    #[error("{place}: {field}, which is not finite; correct or remove the line")]
+    NotFinite {
+        /// Where.
+        place: Place,
+        /// The field.
+        field: Box<Field>,
+    },
+    /// An id is not an unsigned 64-bit integer.
+    #[error(
+        "{place}: {field}, which is not an id; ids are whole numbers from 0 to 18446744073709551615"
+    )]
+    NotAnId {
+        /// Where.
+        place: Place,
+        /// The field.
+        field: Box<Field>,
+    },
+    /// A second VERTEX or PARAMS line for the same id.
+    #[error("{place}: {what} {id} was given before, in line {first}; keep one of the two lines")]
+    Duplicate {
+        /// Where.
+        place: Place,
+        /// `vertex` or `sensor offset`.
+        what: &'static str,
+        /// The id.
+        id: u64,
+        /// The line that gave it first.
+        first: usize,
+    },
+    /// An edge from a variable to itself.
+    #[error(
+        "{place}: the edge leads from {id} to itself; an edge joins two variables, correct or remove the line"
+    )]
+    SelfEdge {
+        /// Where.
+        place: Place,
+        /// The id.
+        id: u64,
+    },
+    /// An id without a VERTEX line in a file that has VERTEX lines, or that no line but FIX names.
+    #[error(
+        "{place}: vertex {id} is not in the file; add its VERTEX line, or remove the line that names it"
+    )]
+    MissingVertex {
+        /// Where.
+        place: Place,
+        /// The id.
+        id: u64,
+    },
+    /// A sensor offset that no PARAMS line gives.
+    #[error(
+        "{place}: sensor offset {id} is not in the file; add a line `PARAMS_SE3OFFSET {id} x y z qx qy qz qw`"
+    )]
+    MissingOffset {
+        /// Where.
+        place: Place,
+        /// The id.
+        id: u64,
+    },
+    /// A variable is used as something that it is not.
+    #[error(
+        "{place}: {id} is used as a {used}, but elsewhere in the file it is a {actual}; poses and landmarks share one range of ids, so each id is one of them"
+    )]
+    WrongKind {
+        /// Where.
+        place: Place,
+        /// The id.
+        id: u64,
+        /// What this line makes of it.
+        used: &'static str,
+        /// What it is.
+        actual: &'static str,
+    },
+    /// The matrix of a measurement is not that of any measurement.
+    #[error(
+        "{place}: the {kind} matrix of the {tag} line is not positive {demand} (its smallest eigenvalue is {eigenvalue:.3e}, and the printed digits do not explain that); is it written in another order or as another kind of matrix?"
+    )]
+    NotPositive {
+        /// Where.
+        place: Place,
+        /// The tag.
+        tag: &'static str,
+        /// `information` or `covariance`.
+        kind: &'static str,
+        /// `semi-definite` or `definite`.
+        demand: &'static str,
+        /// The smallest eigenvalue.
+        eigenvalue: f64,
+    },
+    /// A quaternion of length zero.
+    #[error(
+        "{place}: the quaternion of the {tag} line has length zero and names no rotation; the identity is `0 0 0 1`"
+    )]
+    ZeroQuaternion {
+        /// Where.
+        place: Place,
+        /// The tag.
+        tag: &'static str,
+    },
+    /// The target format has no line for something.
+    #[error(
+        "{place}: a {dialect} file cannot hold {what}; write another format, or remove it first"
+    )]
+    Unsupported {
+        /// Where.
+        place: Place,
+        /// The format asked for.
+        dialect: Dialect,
+        /// What it cannot hold.
+        what: &'static str,
+    },
+    /// An estimate for an id that the document does not have, or of another type.
+    #[error("{file}: the estimate given for {id} does not fit: {problem}")]
+    BadEstimate {
+        /// The file.
+        file: Arc<str>,
+        /// The id.
+        id: u64,
+        /// What is wrong.
+        problem: String,
+    },
+    /// No poses, so nothing to replay.
+    #[error("{file}: holds no pose, so there is nothing to replay")]
+    NoPose {
+        /// The file.
+        file: Arc<str>,
+    },
+    /// A setting has no meaning.
+    #[error("the {setting} is {value}, but has to be {demand}")]
+    BadSetting {
+        /// The setting.
+        setting: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it should be.
+        demand: &'static str,
+    },
+    /// A factor could not be made from a line.
+    #[error("{place}: the measurement cannot be used: {problem}")]
+    BadMeasurement {
+        /// Where.
+        place: Place,
+        /// Why.
+        problem: String,
+    },
+    /// The caller has no estimate of a variable that the next one starts from.
+    #[error(
+        "{place}: {id} starts from variable {variable}, of which there is no estimate; apply each step's change before the next step is asked for"
+    )]
+    NoEstimate {
+        /// Where.
+        place: Place,
+        /// The id that was to be added.
+        id: u64,
+        /// The variable that it starts from.
+        variable: VariableId,
+    },
+    /// A start value grows beyond all numbers.
+    #[error(
+        "{place}: the start value of {id} is not finite; the measurements that lead to it are too large"
+    )]
+    StartNotFinite {
+        /// Where.
+        place: Place,
+        /// The id.
+        id: u64,
+    },
+}
+
+impl FormatError {
+    /// The line that is to blame, where it is one.
+    pub fn place(&self) -> Option<&Place> {
+        match self {
+            Self::NotText { place, .. }
+            | Self::LineTooLong { place, .. }
+            | Self::UnknownTag { place, .. }
+            | Self::MixedDialects { place, .. }
+            | Self::FieldCount { place, .. }
+            | Self::NotANumber { place, .. }
+            | Self::NotFinite { place, .. }
+            | Self::NotAnId { place, .. }
+            | Self::Duplicate { place, .. }
+            | Self::SelfEdge { place, .. }
+            | Self::MissingVertex { place, .. }
+            | Self::MissingOffset { place, .. }
+            | Self::WrongKind { place, .. }
+            | Self::NotPositive { place, .. }
+            | Self::ZeroQuaternion { place, .. }
+            | Self::Unsupported { place, .. }
+            | Self::BadMeasurement { place, .. }
+            | Self::NoEstimate { place, .. }
+            | Self::StartNotFinite { place, .. } => Some(place),
+            _ => None,
+        }
+    }
+
+    /// The number of the line that is to blame; 0 when it is no single line.
+    pub fn line(&self) -> usize {
+        self.place().map_or(0, |place| place.line)
+    }
+}
+
+/// Cuts what is quoted in a message.
+pub(crate) fn excerpt(text: &str) -> Box<str> {
+    let end = text.char_indices().nth(40).map_or(text.len(), |(at, _)| at);
+    let cut = if end < text.len() { "…" } else { "" };
+    format!("{}{cut}", text[..end].escape_debug()).into()
+}

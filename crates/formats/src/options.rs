@@ -1,0 +1,122 @@
+//! Which dialect, and what its matrices mean.
+
+use std::fmt;
+use std::path::Path;
+use std::str::FromStr;
+
+use crate::record::WeightKind;
+
+/// A family of graph files. Told by content, never by extension: see [`ReadOptions::format`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Dialect {
+    /// `VERTEX_SE2`, `EDGE_SE2` and so on; the matrices are information.
+    G2o,
+    /// `VERTEX2`, `EDGE2`, `VERTEX3`, `EDGE3` of TORO and HOG-Man; the matrices are information.
+    Toro,
+    /// iSAM's `ODOMETRY`, `EDGE2`, `Constraint2`, `LANDMARK`, `EDGE3`, `POINT3`; no vertices; the
+    /// matrices are square roots of information unless [`ReadOptions::isam_matrix`] says otherwise.
+    Isam,
+}
+
+impl Dialect {
+    /// The dialect that a file of this name is *written* in: `.g2o`, `.graph` and `.toro` (TORO),
+    /// `.txt` (iSAM).
+    pub fn of_extension(path: &Path) -> Option<Self> {
+        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+        match extension.as_str() {
+            "g2o" => Some(Self::G2o),
+            "graph" | "toro" => Some(Self::Toro),
+            "txt" => Some(Self::Isam),
+            _ => None,
+        }
+    }
+}
+
+impl fmt::Display for Dialect {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::G2o => "g2o",
+            Self::Toro => "TORO",
+            Self::Isam => "iSAM",
+        })
+    }
+}
+
+impl FromStr for Dialect {
+    type Err = String;
+
+    /// `g2o`, `toro` or `isam`, in any case.
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name.to_ascii_lowercase().as_str() {
+            "g2o" => Ok(Self::G2o),
+            "toro" => Ok(Self::Toro),
+            "isam" => Ok(Self::Isam),
+            _ => Err(format!("`{name}` is no format; there are g2o, toro and isam")),
+        }
+    }
+}
+
+/// The unit of the rotation part of g2o's 3D information.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum G2oRotation {
+    /// As it stands: the weight of an angle in radians, as GTSAM, SE-Sync and Ceres' example read it.
+    #[default]
+    Angle,
+    /// g2o's own: the weight of the quaternion's vector part, about half the angle, so that the
+    /// rotation rows and columns are each halved on the way to radians.
+    Quaternion,
+}
+
+impl FromStr for G2oRotation {
+    type Err = String;
+
+    /// `angle` or `quaternion`, in any case.
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name.to_ascii_lowercase().as_str() {
+            "angle" => Ok(Self::Angle),
+            "quaternion" => Ok(Self::Quaternion),
+            _ => Err(format!("`{name}` is no rotation unit; there are angle and quaternion")),
+        }
+    }
+}
+
+impl FromStr for WeightKind {
+    type Err = String;
+
+    /// `sqrt`, `information` or `covariance`, in any case.
+    fn from_str(name: &str) -> Result<Self, String> {
+        match name.to_ascii_lowercase().as_str() {
+            "sqrt" => Ok(Self::SquareRoot),
+            "information" => Ok(Self::Information),
+            "covariance" => Ok(Self::Covariance),
+            _ => Err(format!(
+                "`{name}` is no kind of matrix; there are sqrt, information and covariance"
+            )),
+        }
+    }
+}
+
+/// How a file is read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ReadOptions {
+    /// The dialect; told by content when `None` (the default). `EDGE2` and `EDGE3` are TORO's if a
+    /// `VERTEX2` or `VERTEX3` came first, else iSAM's. Every other tag belongs to one dialect.
+    pub format: Option<Dialect>,
+    /// What the matrices of an iSAM file are; nothing in the file says so. Default: square roots.
+    pub isam_matrix: WeightKind,
+    /// The unit of 3D rotation weights in g2o files, read or written. Default: angle.
+    pub g2o_rotation: G2oRotation,
+    /// Bad lines are skipped, counted and listed instead of being errors. Default: false.
+    pub lenient: bool,
+}
+
+impl Default for ReadOptions {
+    fn default() -> Self {
+        Self {
+            format: None,
+            isam_matrix: WeightKind::SquareRoot,
+            g2o_rotation: G2oRotation::Angle,
+            lenient: false,
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! What a line of a graph file says, in the file's own numbers.
+
+use smallvec::SmallVec;
+
+/// One line.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Record {
+    /// A variable with the value that the file gives for it.
+    Vertex {
+        /// The file's id.
+        id: u64,
+        /// Value.
+        at: Coordinates,
+    },
+    /// A measurement of `to` in the frame of `from`.
+    Edge {
+        /// The pose that is the frame of reference.
+        from: u64,
+        /// The pose or point that is seen.
+        to: u64,
+        /// `from_from_to`: a pose makes it a between factor, a point a landmark observation.
+        measurement: Coordinates,
+        /// How much the measurement is worth.
+        weight: Weight,
+        /// `EDGE_SE3_TRACKXYZ`: id of the sensor offset.
+        parameter: Option<u64>,
+    },
+    /// `FIX`: the variable that holds the gauge.
+    Fix {
+        /// The file's id.
+        id: u64,
+    },
+    /// `PARAMS_SE3OFFSET`: where a sensor sits on the robot, `robot_from_sensor`.
+    SensorOffset {
+        /// The file's id.
+        id: u64,
+        /// `robot_from_sensor`.
+        at: Coordinates,
+    },
+}
+
+/// A pose or a point in the numbers that the file used: an unwrapped angle, a quaternion of any
+/// length, Euler angles. Kept so that writing the same format gives the same bits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Coordinates {
+    /// `x y theta` (m, rad).
+    Pose2([f64; 3]),
+    /// `x y` (m).
+    Point2([f64; 2]),
+    /// `x y z qx qy qz qw` (m).
+    Pose3Quaternion([f64; 7]),
+    /// `x y z roll pitch yaw` (m, rad), `R = Rz(yaw) Ry(pitch) Rx(roll)`.
+    Pose3Euler([f64; 6]),
+    /// `x y z` (m).
+    Point3([f64; 3]),
+}
+
+/// The matrix of a measurement, as it stands in the file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Weight {
+    /// What the matrix is.
+    pub kind: WeightKind,
+    /// The order of its entries.
+    pub order: EntryOrder,
+    /// The entries; empty when the line had none (identity).
+    pub entries: SmallVec<[f64; 6]>,
+}
+
+/// What the matrix of a measurement is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WeightKind {
+    /// Information, the inverse of the covariance.
+    Information,
+    /// Upper triangular `R` with information `RᵀR`.
+    SquareRoot,
+    /// Covariance.
+    Covariance,
+}
+
+/// In which order the entries of a symmetric or triangular matrix are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EntryOrder {
+    /// The upper triangle, row by row.
+    UpperTriangle,
+    /// TORO's 2D order `11 12 22 33 13 23`.
+    Toro,
+}
+
+/// What a variable is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Kind {
+    /// A pose in the plane.
+    Pose2,
+    /// A pose in space.
+    Pose3,
+    /// A landmark in the plane.
+    Point2,
+    /// A landmark in space.
+    Point3,
+}
+
+impl Kind {
+    /// Whether it is a pose; else it is a landmark.
+    pub fn is_pose(self) -> bool {
+        matches!(self, Self::Pose2 | Self::Pose3)
+    }
+
+    /// The kind of pose that measures it.
+    pub fn observer(self) -> Self {
+        match self {
+            Self::Pose2 | Self::Point2 => Self::Pose2,
+            Self::Pose3 | Self::Point3 => Self::Pose3,
+        }
+    }
+
+    /// Dimension of its tangent space, which is that of a measurement of it.
+    pub fn dim(self) -> usize {
+        match self {
+            Self::Pose2 | Self::Point3 => 3,
+            Self::Pose3 => 6,
+            Self::Point2 => 2,
+        }
+    }
+
+    /// In words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Pose2 => "2D pose",
+            Self::Pose3 => "3D pose",
+            Self::Point2 => "2D landmark",
+            Self::Point3 => "3D landmark",
+        }
+    }
+}
+
+impl Coordinates {
+    /// What they are the coordinates of.
+    pub fn kind(&self) -> Kind {
+        match self {
+            Self::Pose2(_) => Kind::Pose2,
+            Self::Point2(_) => Kind::Point2,
+            Self::Pose3Quaternion(_) | Self::Pose3Euler(_) => Kind::Pose3,
+            Self::Point3(_) => Kind::Point3,
+        }
+    }
+
+    /// The numbers, in the order of the line.
+    pub fn numbers(&self) -> &[f64] {
+        match self {
+            Self::Pose2(x) | Self::Point3(x) => x,
+            Self::Point2(x) => x,
+            Self::Pose3Quaternion(x) => x,
+            Self::Pose3Euler(x) => x,
+        }
+    }
+}
+
+impl Record {
+    /// The tag that messages use, g2o's.
+    pub(crate) fn name(&self) -> &'static str {
+        match self {
+            Self::Fix { .. } => "FIX",
+            Self::SensorOffset { .. } => "PARAMS_SE3OFFSET",
+            Self::Vertex { at, .. } => match at.kind() {
+                Kind::Pose2 => "VERTEX_SE2",
+                Kind::Pose3 => "VERTEX_SE3:QUAT",
+                Kind::Point2 => "VERTEX_XY",
+                Kind::Point3 => "VERTEX_TRACKXYZ",
+            },
+            Self::Edge { measurement, .. } => match measurement.kind() {
+                Kind::Pose2 => "EDGE_SE2",
+                Kind::Pose3 => "EDGE_SE3:QUAT",
+                Kind::Point2 => "EDGE_SE2_XY",
+                Kind::Point3 => "EDGE_SE3_TRACKXYZ",
+            },
+        }
+    }
+}

@@ -1,0 +1,305 @@
+//! Each line of each dialect, and what it becomes in the others.
+
+use evergraph_formats::{
+    Coordinates, Dialect, Document, EntryOrder, FormatError, G2oRotation, Initial, ReadOptions,
+    Record, Replay, ReplayOptions, WeightKind,
+};
+use evergraph_model::{Graph, Kernel, Pose2, Value};
+
+fn parse(text: &str) -> Document {
+    Document::parse("text", text.as_bytes(), &ReadOptions::default())
+        .unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn written(document: &Document, dialect: Dialect) -> String {
+    let mut text = Vec::new();
+    document.write(&mut text, dialect).unwrap_or_else(|error| panic!("{error}"));
+    String::from_utf8(text).expect("text is UTF-8")
+}
+
+const UPPER: &str = "1 0 0 0 0 0 2 0 0 0 0 3 0 0 0 4 0 0 5 0 6";
+
+#[test]
+fn lines_of_equal_dialects_are_written_as_they_were() {
+    let g2o = format!(
+        "PARAMS_SE3OFFSET 0 0 0 0.5 0 0 0 1\nVERTEX_SE2 0 1 2 -7.5\nVERTEX_XY 2 3 4\nVERTEX_SE2 1 0 0 0\n\
+         VERTEX_SE3:QUAT 10 1 2 3 0 0 0 1\nVERTEX_SE3:QUAT 11 1 2 3 0 0 -0 -1\nVERTEX_TRACKXYZ 12 1 2 3\n\
+         EDGE_SE2 0 1 0.1 0.2 0.3 1 2 3 9 5 16\nEDGE_SE2_XY 0 2 1 2 3 1 4\n\
+         EDGE_SE3:QUAT 10 11 1 2 3 0 0 0 1 {UPPER}\nEDGE_SE3_TRACKXYZ 10 12 0 1 2 3 4 0 0 5 0 6\nFIX 0\nFIX 10\n"
+    );
+    assert_eq!(written(&parse(&g2o), Dialect::G2o), g2o);
+    let toro = format!(
+        "VERTEX2 0 1 2 3\nVERTEX2 1 1 2 3\nEDGE2 0 1 0.1 0.2 0.3 1 0.5 2 3 0.25 0.125\n\
+         VERTEX3 5 1 2 3 0.1 0.2 0.3\nVERTEX3 6 1 2 3 0.1 0.2 0.3\nEDGE3 5 6 1 2 3 0.1 0.2 0.3 {UPPER}\n"
+    );
+    assert_eq!(written(&parse(&toro), Dialect::Toro), toro);
+    let isam = format!(
+        "EDGE2 0 1 0.1 0.2 0.3 1 0.5 0.25 2 0.125 3\nLANDMARK 0 9 1 2 3 0 4\n\
+         EDGE3 20 21 1 2 3 0.1 0.2 0.3 {UPPER}\nEDGE3 20 21 1 2 3 0.1 0.2 0.3\nPOINT3 20 30 1 2 3 4 0 0 5 0 6\n\
+         POINT3 20 30 1 2 3\n"
+    );
+    assert_eq!(written(&parse(&isam), Dialect::Isam), isam);
+}
+
+#[test]
+fn synonyms_are_one_line() {
+    let lines = ["EDGE2", "ODOMETRY", "Constraint2"]
+        .map(|tag| parse(&format!("{tag} 0 1 1 0 0 1 0 0 1 0 1\n")));
+    assert!(
+        lines.iter().all(|d| d.dialect() == Dialect::Isam && d.records().eq(lines[0].records()))
+    );
+}
+
+#[test]
+fn the_first_line_tells_edge2_of_toro_from_isam() {
+    let edge = "EDGE2 0 1 1 0 0 1 2 5 3 0 0\n";
+    let toro = parse(&format!("VERTEX2 0 0 0 0\nVERTEX2 1 0 0 0\n{edge}"));
+    let isam = parse(edge);
+    let weight = |d: &Document| match d.records().last() {
+        Some(Record::Edge { weight, .. }) => weight.clone(),
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(
+        (weight(&toro).kind, weight(&toro).order),
+        (WeightKind::Information, EntryOrder::Toro)
+    );
+    assert_eq!(
+        (weight(&isam).kind, weight(&isam).order),
+        (WeightKind::SquareRoot, EntryOrder::UpperTriangle)
+    );
+    let options = ReadOptions { format: Some(Dialect::Toro), ..ReadOptions::default() };
+    let forced = Document::parse("text", edge.as_bytes(), &options).unwrap();
+    assert_eq!(weight(&forced), weight(&toro));
+}
+
+#[test]
+fn fix_takes_several_ids_and_large_ids_are_ids() {
+    let document = parse(
+        "VERTEX_SE2 18446744073709551615 0 0 0\nVERTEX_SE2 6989586621679009792 0 0 0\nFIX 18446744073709551615 6989586621679009792\n",
+    );
+    assert_eq!(document.summary().fixed, 2);
+}
+
+#[test]
+fn information_becomes_a_square_root_and_back() {
+    let document = parse("EDGE_SE2 0 1 1 0 0 4 2 0 5 0 9\n");
+    assert_eq!(written(&document, Dialect::Isam), "EDGE2 0 1 1 0 0 2 1 0 2 0 3\n");
+    let isam = parse("EDGE2 0 1 1 0 0 2 1 0 2 0 3\n");
+    assert_eq!(written(&isam, Dialect::G2o), "EDGE_SE2 0 1 1 0 0 4 2 0 5 0 9\n");
+    assert!(written(&isam, Dialect::Toro).ends_with("EDGE2 0 1 1 0 0 4 2 5 9 0 0\n"));
+}
+
+#[test]
+fn singular_information_becomes_a_square_root() {
+    let document = parse("EDGE_SE2 0 1 1 0 0 1 1 0 1 0 0\n");
+    let text = written(&document, Dialect::Isam);
+    let back = written(&parse(&text), Dialect::G2o);
+    let numbers: Vec<f64> = back.split_whitespace().skip(6).map(|w| w.parse().unwrap()).collect();
+    let expected = [1.0, 1.0, 0.0, 1.0, 0.0, 0.0];
+    assert!(numbers.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-14), "{back}");
+}
+
+#[test]
+fn sensor_offsets_are_folded_into_measurements() {
+    // A sensor half a metre up that looks to the left: a quarter turn about z.
+    let h = std::f64::consts::FRAC_1_SQRT_2;
+    let document = parse(&format!(
+        "PARAMS_SE3OFFSET 4 0 0 0.5 0 0 {h} {h}\nVERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_TRACKXYZ 1 0 0 0\n\
+         EDGE_SE3_TRACKXYZ 0 1 4 1 0 0 4 0 0 9 0 16\n"
+    ));
+    let mut out = Vec::new();
+    let summary = document.write(&mut out, Dialect::Isam).unwrap();
+    assert_eq!((summary.lines, summary.dropped_vertices), (1, 2));
+    let text = String::from_utf8(out).unwrap();
+    let numbers: Vec<f64> = text.split_whitespace().skip(3).map(|w| w.parse().unwrap()).collect();
+    let expected = [0.0, 1.0, 0.5, 3.0, 0.0, 0.0, 2.0, 0.0, 4.0];
+    assert!(numbers.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{text}");
+}
+
+#[test]
+fn landmarks_in_space_get_an_offset_and_ids_of_their_own_in_g2o() {
+    let document = parse("EDGE3 0 1 1 0 0 0 0 0\nPOINT3 1 1 1 2 3\nPOINT3 1 7 1 2 3\n");
+    assert_eq!((document.summary().poses, document.summary().landmarks), (2, 2));
+    let mut out = Vec::new();
+    assert_eq!(document.write(&mut out, Dialect::G2o).unwrap().renumbered_landmarks, 1);
+    let text = String::from_utf8(out).unwrap();
+    assert!(text.starts_with("PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n"), "{text}");
+    assert!(text.contains("EDGE_SE3_TRACKXYZ 1 8 0 1 2 3 1 0 0 1 0 1\n"), "{text}");
+    assert!(text.contains("EDGE_SE3_TRACKXYZ 1 7 0 1 2 3 1 0 0 1 0 1\n"), "{text}");
+    parse(&text);
+}
+
+#[test]
+fn toro_files_have_vertices() {
+    let isam = parse("EDGE2 0 1 1 2 0 2 1 0 2 0 3\n");
+    let mut out = Vec::new();
+    assert_eq!(isam.write(&mut out, Dialect::Toro).unwrap().added_vertices, 2);
+    let text = String::from_utf8(out).unwrap();
+    assert_eq!(text, "VERTEX2 0 0 0 0\nVERTEX2 1 1 2 0\nEDGE2 0 1 1 2 0 4 2 5 9 0 0\n");
+    assert_eq!(parse(&text).dialect(), Dialect::Toro);
+}
+
+#[test]
+fn what_a_dialect_cannot_hold_is_an_error() {
+    let landmark = parse("LANDMARK 0 1 1 1 1 0 1\n");
+    let fixed = parse("VERTEX_SE2 0 0 0 0\nFIX 0\n");
+    for (document, dialect) in
+        [(&landmark, Dialect::Toro), (&fixed, Dialect::Toro), (&fixed, Dialect::Isam)]
+    {
+        let error = document.write(&mut Vec::new(), dialect).unwrap_err();
+        assert!(matches!(error, FormatError::Unsupported { .. }), "{error}");
+        assert!(error.to_string().starts_with("text:"), "{error}");
+    }
+    assert!(matches!(landmark.save("x.csv"), Err(FormatError::UnknownExtension { .. })));
+}
+
+#[test]
+fn g2os_own_rotation_units_are_converted() {
+    let text = format!("EDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1 {UPPER}\n");
+    let options = ReadOptions { g2o_rotation: G2oRotation::Quaternion, ..ReadOptions::default() };
+    let document = Document::parse("text", text.as_bytes(), &options).unwrap();
+    assert_eq!(written(&document, Dialect::G2o), text);
+    let toro = written(&document, Dialect::Toro);
+    assert!(toro.ends_with(" 1 0 0 0 0 0 2 0 0 0 0 3 0 0 0 1 0 0 1.25 0 1.5\n"), "{toro}");
+}
+
+#[test]
+fn numbers_are_short_and_exact() {
+    let numbers = [1e-9, 0.1 + 0.2, -0.0, 1e300, 5e-324, f64::MAX, 123456.75, 1.0];
+    for x in numbers {
+        let record = Record::Vertex { id: 0, at: Coordinates::Point2([x, 0.0]) };
+        let document = Document::from_records("made", Dialect::G2o, vec![record]).unwrap();
+        let text = written(&document, Dialect::G2o);
+        assert!(text.len() < 45, "{text}");
+        let Record::Vertex { at, .. } = parse(&text).records().next().unwrap().clone() else {
+            panic!()
+        };
+        assert_eq!(at.numbers()[0].to_bits(), x.to_bits());
+    }
+}
+
+#[test]
+fn estimates_keep_the_place_of_vertices() {
+    let document =
+        parse("VERTEX_SE2 1 0 0 0\n#\nVERTEX_SE2 0 0 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n");
+    let at = |x: f64| Value::new(&Pose2::new(x, 0.0, 0.0));
+    let output = document.with_vertices([(0, at(10.0)), (1, at(11.0))]).unwrap();
+    assert_eq!(
+        written(&output, Dialect::G2o),
+        "VERTEX_SE2 1 11 0 0\nVERTEX_SE2 0 10 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
+    );
+    let bare = parse("EDGE_SE2 5 3 1 0 0 1 0 0 1 0 1\n");
+    let output = bare.with_vertices([(5, at(5.0)), (3, at(3.0))]).unwrap();
+    assert!(
+        written(&output, Dialect::G2o)
+            .starts_with("VERTEX_SE2 3 3 0 0\nVERTEX_SE2 5 5 0 0\nEDGE_SE2")
+    );
+    assert!(matches!(
+        bare.with_vertices([(5, at(5.0))]),
+        Err(FormatError::MissingVertex { id: 3, .. })
+    ));
+    assert!(matches!(
+        bare.with_vertices([(9, at(5.0))]),
+        Err(FormatError::BadEstimate { id: 9, .. })
+    ));
+    assert!(bare.with_vertices([(5, at(5.0)), (5, at(5.0))]).is_err());
+    assert!(
+        bare.with_vertices([(5, Value::new(&evergraph_model::Point2::new(0.0, 0.0)))]).is_err()
+    );
+}
+
+#[test]
+fn the_gauge_is_held_once_for_each_component_or_where_fix_says() {
+    let edges = "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 1 2 1 0 0 1 0 0 1 0 1\nEDGE_SE2 7 8 1 0 0 1 0 0 1 0 1\n";
+    let priors = |text: &str, options: &ReplayOptions| {
+        let mut replay = Replay::new(&parse(text), options).unwrap();
+        let step = replay.everything(&mut Graph::new().change()).unwrap();
+        assert_eq!(step.gauge_priors, replay.gauge_priors());
+        assert!(step.gauge_priors.iter().all(|p| replay.factors().iter().all(|f| f.0 != p.factor)));
+        step.gauge_priors.iter().map(|p| (p.id, p.fixed)).collect::<Vec<_>>()
+    };
+    let default = ReplayOptions::default();
+    assert_eq!(priors(edges, &default), [(0, false), (7, false)]);
+    assert_eq!(priors(&format!("{edges}FIX 2\n"), &default), [(2, true), (7, false)]);
+    assert_eq!(priors(&format!("{edges}FIX 1 8 2\n"), &default), [(1, true), (2, true), (8, true)]);
+    assert_eq!(priors(edges, &ReplayOptions { prior: None, ..default }), []);
+    for sigma in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let options = ReplayOptions { prior: Some(sigma), ..default };
+        assert!(matches!(
+            Replay::new(&parse(edges), &options),
+            Err(FormatError::BadSetting { .. })
+        ));
+    }
+}
+
+#[test]
+fn kernels_wrap_the_factors_of_the_file_only() {
+    let document = parse("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n");
+    let options =
+        ReplayOptions { kernel: Some(Kernel::huber(1.0).unwrap()), ..ReplayOptions::default() };
+    let mut replay = Replay::new(&document, &options).unwrap();
+    let mut change = Graph::new().change();
+    replay.everything(&mut change).unwrap();
+    let names: Vec<String> = change.new_factors().iter().map(|(_, factor)| factor.name()).collect();
+    assert_eq!(names, ["Prior<Pose2>", "Robust<Between<Pose2>, Huber>"]);
+}
+
+#[test]
+fn start_values_follow_the_estimate_in_either_direction() {
+    let document =
+        parse("VERTEX_SE2 0 3 0 0\nVERTEX_SE2 1 9 9 9\nEDGE_SE2 1 0 -1 0 0 1 0 0 1 0 1\n");
+    let mut replay = Replay::new(&document, &ReplayOptions::default()).unwrap();
+    let mut graph = Graph::new();
+    let mut change = graph.change();
+    replay.next_step(&mut change, &mut |_| None).unwrap().unwrap();
+    assert_eq!(
+        change.new_variables()[0].1.get::<Pose2>().unwrap().x(),
+        3.0,
+        "the first pose is at its vertex"
+    );
+    let staged = graph.stage(&change).unwrap();
+    graph.commit(staged);
+    let mut change = graph.change();
+    let moved = Value::new(&Pose2::new(10.0, 0.0, 0.0));
+    replay.next_step(&mut change, &mut |_| Some(moved.clone())).unwrap().unwrap();
+    assert_eq!(change.new_variables()[0].1.get::<Pose2>().unwrap().x(), 11.0);
+
+    let options = ReplayOptions { initial: Initial::FromFile, ..ReplayOptions::default() };
+    let mut change = Graph::new().change();
+    Replay::new(&document, &options).unwrap().everything(&mut change).unwrap();
+    assert_eq!(change.new_variables()[1].1.get::<Pose2>().unwrap().x(), 9.0);
+
+    let mut replay = Replay::new(&document, &ReplayOptions::default()).unwrap();
+    let mut change = Graph::new().change();
+    replay.next_step(&mut change, &mut |_| None).unwrap().unwrap();
+    let error = replay.next_step(&mut change, &mut |_| None).unwrap().unwrap_err();
+    assert!(matches!(error, FormatError::NoEstimate { id: 1, .. }), "{error}");
+    assert!(replay.next_step(&mut change, &mut |_| None).is_none());
+}
+
+#[test]
+fn poses_wait_until_something_connects_them() {
+    // 2 and 1 hang together, but only 3 ties them to 0.
+    let edge = |i: u64, j: u64| format!("EDGE_SE2 {i} {j} 1 0 0 1 0 0 1 0 1\n");
+    let text = edge(1, 2) + &edge(3, 2) + &edge(0, 3) + &edge(4, 3);
+    let mut replay = Replay::new(&parse(&text), &ReplayOptions::default()).unwrap();
+    replay.everything(&mut Graph::new().change()).unwrap();
+    assert_eq!(replay.ids().map(|(id, _)| id).collect::<Vec<_>>(), [0, 3, 2, 1, 4]);
+
+    // The same in time order: 1 starts, being in the first line.
+    let isam = text.replace("EDGE_SE2", "EDGE2");
+    let mut replay = Replay::new(&parse(&isam), &ReplayOptions::default()).unwrap();
+    replay.everything(&mut Graph::new().change()).unwrap();
+    assert_eq!(replay.ids().map(|(id, _)| id).collect::<Vec<_>>(), [1, 2, 3, 0, 4]);
+}
+
+#[test]
+fn parts_that_only_landmarks_tie_come_last() {
+    let text = "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 5 6 1 0 0 1 0 0 1 0 1\nEDGE_SE2_XY 1 9 1 0 1 0 1\n\
+                EDGE_SE2_XY 6 9 1 0 1 0 1\nEDGE_SE2_XY 5 8 1 0 1 0 1\n";
+    let mut replay = Replay::new(&parse(text), &ReplayOptions::default()).unwrap();
+    assert_eq!(replay.len(), 3);
+    let step = replay.everything(&mut Graph::new().change()).unwrap();
+    assert_eq!((step.factors, step.variables, step.gauge_priors.len()), (5, 6, 1));
+    assert_eq!(replay.ids().map(|(id, _)| id).collect::<Vec<_>>(), [0, 1, 9, 5, 8, 6]);
+}
