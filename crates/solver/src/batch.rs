@@ -1,0 +1,408 @@
+//! Batch optimization to convergence: Gauss-Newton, Levenberg-Marquardt, Powell's dogleg.
+//!
+//! All three minimize `½ ‖r(x ⊕ δ)‖²` by steps from the linear model `½ ‖Jδ + r‖²`, use the same
+//! clique tree as the incremental engine (ordered afresh once, then in place), and never accept a
+//! step that raises the error.
+
+use evergraph_model::Graph;
+use serde::{Deserialize, Serialize};
+
+use crate::error::SmootherError;
+use crate::linearization::Blocks;
+use crate::smoother::Smoother;
+use crate::solve;
+use crate::tree::Tree;
+use crate::update::{Affected, in_place};
+
+/// How steps are chosen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Method {
+    /// Undamped steps; stops, honestly, when one would raise the error.
+    GaussNewton,
+    /// Adds `λ diag(JᵀJ)` to the information matrix (Marquardt's scaling, so that units do not
+    /// matter). Starts undamped: λ appears only when a step fails.
+    #[default]
+    LevenbergMarquardt,
+    /// Steps between steepest descent and Gauss-Newton within a trust region, measured in the
+    /// norm of `diag(JᵀJ)`; one factorization per accepted step.
+    Dogleg,
+}
+
+/// When to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BatchSettings {
+    /// How steps are chosen.
+    pub method: Method,
+    /// Most linearizations. Default 100.
+    pub max_iterations: u32,
+    /// Converged when a step lowers, or the linear model promises to lower, the error by less than
+    /// this share of it. Default 1e-11.
+    pub relative_decrease: f64,
+}
+
+impl Default for BatchSettings {
+    fn default() -> Self {
+        Self { method: Method::default(), max_iterations: 100, relative_decrease: 1e-11 }
+    }
+}
+
+impl BatchSettings {
+    /// For the batch steps within a replay: to convergence as far as the next measurement can
+    /// tell.
+    pub(crate) fn periodic() -> Self {
+        Self { max_iterations: 25, relative_decrease: 1e-7, ..Self::default() }
+    }
+}
+
+/// How a batch optimization ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "status", content = "why")]
+pub enum Status {
+    /// No step lowers the error any more.
+    Converged,
+    /// It stopped before that.
+    NotConverged(Reason),
+}
+
+/// Why an optimization stopped before it converged. The estimate is the best point found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reason {
+    /// `max_iterations` were used up.
+    IterationLimit,
+    /// The Gauss-Newton step raises the error: start closer, or use another method.
+    ErrorWouldRise,
+    /// No damping or trust region, however small the step, lowered the error.
+    NoDescent,
+}
+
+/// What a batch optimization did.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct BatchReport {
+    /// How it ended.
+    #[serde(flatten)]
+    pub status: Status,
+    /// Linearizations (accepted steps).
+    pub iterations: u32,
+    /// Objective at the start.
+    pub initial_error: f64,
+    /// Objective at the end; never above the start.
+    pub error: f64,
+    /// Largest component of `Jᵀr` at the end.
+    pub gradient_norm: f64,
+}
+
+/// Damping at the first failed step, and the factor between tries.
+const FIRST_DAMPING: f64 = 1e-7;
+const DAMPING_FACTOR: f64 = 10.0;
+const LARGEST_DAMPING: f64 = 1e12;
+/// A trust region this small relative to the Gauss-Newton step moves nothing.
+const SMALLEST_RADIUS: f64 = 1e-14;
+
+/// Everything that an optimization alters, to go back to.
+struct Saved {
+    points: Vec<f64>,
+    blocks: Blocks,
+    tree: Tree,
+    solution: solve::State,
+}
+
+impl Smoother {
+    /// Optimizes from the current estimate until convergence; linearization points end at the
+    /// optimum.
+    ///
+    /// # Errors
+    /// [`SmootherError::Singular`], [`SmootherError::NonFinite`]: the system at some accepted
+    /// point cannot be solved. Everything is then what it was before.
+    pub fn optimize(&mut self, settings: &BatchSettings) -> Result<BatchReport, SmootherError> {
+        if self.graph.variable_count() == 0 {
+            return Ok(BatchReport {
+                status: Status::Converged,
+                iterations: 0,
+                initial_error: 0.0,
+                error: 0.0,
+                gradient_norm: 0.0,
+            });
+        }
+        // Start from the better of the two states that every variable has.
+        let estimate = self.estimate_points();
+        let (at_estimate, at_points) =
+            (self.graph.error(&estimate), self.graph.error(&self.points));
+        let start = if at_estimate <= at_points { estimate } else { self.points.clone() };
+        let affected = Affected::everything(&self.tree);
+        let newest = self.newest();
+        let job = affected.plan(&self.graph, &self.tree, newest, &mut self.scratch.local);
+        let saved = Saved {
+            points: std::mem::replace(&mut self.points, start),
+            blocks: self.blocks.clone(),
+            tree: std::mem::take(&mut self.tree),
+            solution: self.solution.clone(),
+        };
+        let result = self.relinearize_all().and_then(|()| {
+            let eliminated = self.eliminate(&job, None).map_err(|u| self.explain_here(u))?;
+            self.install(&Affected::default(), job, eliminated);
+            let initial_error = at_estimate.min(at_points);
+            match settings.method {
+                Method::Dogleg => self.dogleg(settings, initial_error),
+                _ => self.damped_gauss_newton(settings, initial_error),
+            }
+        });
+        match &result {
+            Ok(_) => {
+                self.solution = solve::State::default();
+                self.solution.resize(&self.graph);
+                self.at_optimum = true;
+            }
+            Err(_) => {
+                self.points = saved.points;
+                self.blocks = saved.blocks;
+                self.tree = saved.tree;
+                self.solution = saved.solution;
+            }
+        }
+        result
+    }
+
+    /// Gauss-Newton, with Levenberg's and Marquardt's damping where a step fails.
+    fn damped_gauss_newton(
+        &mut self,
+        settings: &BatchSettings,
+        initial_error: f64,
+    ) -> Result<BatchReport, SmootherError> {
+        let mut error = initial_error;
+        let mut damping = 0.0;
+        let mut iterations = 0;
+        let status = loop {
+            let delta = solve::all(&self.graph, &self.tree);
+            let trial = retract_all(&self.graph, &self.points, &delta);
+            let trial_error = self.graph.error(&trial);
+            let promised = decrease_of_model(&self.graph, &self.blocks, &delta);
+            let negligible = settings.relative_decrease * error;
+            // Written so that NaN is a failure.
+            if trial_error <= error {
+                let decrease = error - trial_error;
+                self.points = trial;
+                error = trial_error;
+                iterations += 1;
+                self.relinearize_all()?;
+                damping = if damping <= FIRST_DAMPING { 0.0 } else { damping / DAMPING_FACTOR };
+                // A damped step is short because of the damping; only a full one proves the end.
+                if decrease <= negligible && damping == 0.0 {
+                    break Status::Converged;
+                }
+                if iterations >= settings.max_iterations {
+                    break Status::NotConverged(Reason::IterationLimit);
+                }
+            } else if promised <= negligible && damping == 0.0 {
+                break Status::Converged;
+            } else if settings.method == Method::GaussNewton {
+                break Status::NotConverged(Reason::ErrorWouldRise);
+            } else if damping > LARGEST_DAMPING {
+                break Status::NotConverged(Reason::NoDescent);
+            } else {
+                damping = if damping == 0.0 { FIRST_DAMPING } else { damping * DAMPING_FACTOR };
+            }
+            self.eliminate_in_place(damping)?;
+        };
+        self.eliminate_in_place(0.0)?;
+        Ok(self.finish(status, iterations, initial_error, error))
+    }
+
+    /// Powell's dogleg in the scaled variables `D^½ δ`, `D = diag(JᵀJ)`.
+    fn dogleg(
+        &mut self,
+        settings: &BatchSettings,
+        initial_error: f64,
+    ) -> Result<BatchReport, SmootherError> {
+        let mut error = initial_error;
+        let mut radius = f64::INFINITY;
+        let mut iterations = 0;
+        let status = 'outer: loop {
+            let newton = solve::all(&self.graph, &self.tree);
+            let scale = diagonal(&self.graph, &self.blocks);
+            let gradient = gradient(&self.graph, &self.blocks);
+            let steepest = steepest_descent(&self.graph, &self.blocks, &gradient, &scale);
+            let newton_length = scaled_norm(&newton, &scale);
+            let negligible = settings.relative_decrease * error;
+            loop {
+                let delta = within_radius(&newton, &steepest, &scale, radius);
+                let promised = decrease_of_model(&self.graph, &self.blocks, &delta);
+                let trial = retract_all(&self.graph, &self.points, &delta);
+                let trial_error = self.graph.error(&trial);
+                if trial_error <= error {
+                    let decrease = error - trial_error;
+                    let length = scaled_norm(&delta, &scale);
+                    let gain = decrease / promised;
+                    let full = radius >= newton_length;
+                    if gain > 0.75 {
+                        radius = radius.max(3.0 * length);
+                    } else if gain < 0.25 {
+                        radius = 0.5 * length;
+                    }
+                    self.points = trial;
+                    error = trial_error;
+                    iterations += 1;
+                    self.relinearize_all()?;
+                    if decrease <= negligible && full {
+                        break 'outer Status::Converged;
+                    }
+                    break;
+                }
+                if promised <= negligible && radius >= newton_length {
+                    break 'outer Status::Converged;
+                }
+                radius = 0.25 * radius.min(newton_length);
+                if radius < SMALLEST_RADIUS * newton_length {
+                    break 'outer Status::NotConverged(Reason::NoDescent);
+                }
+            }
+            if iterations >= settings.max_iterations {
+                break Status::NotConverged(Reason::IterationLimit);
+            }
+            self.eliminate_in_place(0.0)?;
+        };
+        self.eliminate_in_place(0.0)?;
+        Ok(self.finish(status, iterations, initial_error, error))
+    }
+
+    fn finish(
+        &self,
+        status: Status,
+        iterations: u32,
+        initial_error: f64,
+        error: f64,
+    ) -> BatchReport {
+        let gradient_norm =
+            gradient(&self.graph, &self.blocks).iter().fold(0.0, |m: f64, g| m.max(g.abs()));
+        BatchReport { status, iterations, initial_error, error, gradient_norm }
+    }
+
+    fn relinearize_all(&mut self) -> Result<(), SmootherError> {
+        for f in self.graph.factor_indices() {
+            if !self.blocks.relinearize(&self.graph, f, &self.points) {
+                return Err(self.non_finite(f));
+            }
+        }
+        Ok(())
+    }
+
+    /// Eliminates all cliques again with `damping · diag(JᵀJ)` added.
+    fn eliminate_in_place(&mut self, damping: f64) -> Result<(), SmootherError> {
+        let job = in_place(&self.tree, &vec![true; self.tree.slots()]);
+        let added = (damping > 0.0).then(|| {
+            let mut diagonal = diagonal(&self.graph, &self.blocks);
+            diagonal.iter_mut().for_each(|d| *d *= damping);
+            diagonal
+        });
+        let eliminated =
+            self.eliminate(&job, added.as_deref()).map_err(|u| self.explain_here(u))?;
+        self.install_numbers(&job, eliminated);
+        Ok(())
+    }
+}
+
+/// `x ⊕ δ` for all variables.
+pub(crate) fn retract_all(graph: &Graph, points: &[f64], delta: &[f64]) -> Vec<f64> {
+    let mut out = vec![0.0; points.len()];
+    for v in graph.variable_indices() {
+        let range = graph.value_range(v);
+        let delta = &delta[graph.tangent_range(v)];
+        graph.kind_at(v).retract(&points[range.clone()], delta, &mut out[range]);
+    }
+    out
+}
+
+/// Calls `visit` with each factor's columns: the scalar that each belongs to, the column, and the
+/// residual.
+fn for_each_column(graph: &Graph, blocks: &Blocks, mut visit: impl FnMut(usize, &[f64], &[f64])) {
+    for f in graph.factor_indices() {
+        let rows = graph.rows_at(f);
+        let block = blocks.get(f);
+        let residual = &block[block.len() - rows..];
+        let scalars = graph.variables_at(f).iter().flat_map(|&v| graph.tangent_range(v as usize));
+        for (scalar, column) in scalars.zip(block.chunks_exact(rows)) {
+            visit(scalar, column, residual);
+        }
+    }
+}
+
+/// `diag(JᵀJ)`.
+pub(crate) fn diagonal(graph: &Graph, blocks: &Blocks) -> Vec<f64> {
+    let mut out = vec![0.0; graph.tangent_len()];
+    for_each_column(graph, blocks, |scalar, column, _| {
+        out[scalar] += column.iter().map(|x| x * x).sum::<f64>();
+    });
+    out
+}
+
+/// `Jᵀr`.
+pub(crate) fn gradient(graph: &Graph, blocks: &Blocks) -> Vec<f64> {
+    let mut out = vec![0.0; graph.tangent_len()];
+    for_each_column(graph, blocks, |scalar, column, residual| {
+        out[scalar] += column.iter().zip(residual).map(|(x, r)| x * r).sum::<f64>();
+    });
+    out
+}
+
+/// `Σ ‖Jδ‖²` and `Σ rᵀJδ`.
+fn products(graph: &Graph, blocks: &Blocks, delta: &[f64]) -> (f64, f64) {
+    let (mut squared, mut mixed) = (0.0, 0.0);
+    let mut product = Vec::new();
+    for f in graph.factor_indices() {
+        let rows = graph.rows_at(f);
+        let block = blocks.get(f);
+        product.clear();
+        product.resize(rows, 0.0);
+        let scalars = graph.variables_at(f).iter().flat_map(|&v| graph.tangent_range(v as usize));
+        for (scalar, column) in scalars.zip(block.chunks_exact(rows)) {
+            for (p, x) in product.iter_mut().zip(column) {
+                *p += x * delta[scalar];
+            }
+        }
+        let residual = &block[block.len() - rows..];
+        squared += product.iter().map(|p| p * p).sum::<f64>();
+        mixed += product.iter().zip(residual).map(|(p, r)| p * r).sum::<f64>();
+    }
+    (squared, mixed)
+}
+
+/// `½ ‖r‖² − ½ ‖Jδ + r‖²`, without subtracting large numbers.
+fn decrease_of_model(graph: &Graph, blocks: &Blocks, delta: &[f64]) -> f64 {
+    let (squared, mixed) = products(graph, blocks, delta);
+    -mixed - 0.5 * squared
+}
+
+/// The minimizer of the model along `−D⁻¹ Jᵀr`.
+fn steepest_descent(graph: &Graph, blocks: &Blocks, gradient: &[f64], scale: &[f64]) -> Vec<f64> {
+    let mut direction: Vec<f64> =
+        gradient.iter().zip(scale).map(|(g, s)| if *s > 0.0 { -g / s } else { 0.0 }).collect();
+    let slope: f64 = direction.iter().zip(gradient).map(|(d, g)| d * g).sum();
+    let (squared, _) = products(graph, blocks, &direction);
+    let length = if squared > 0.0 { -slope / squared } else { 0.0 };
+    direction.iter_mut().for_each(|d| *d *= length);
+    direction
+}
+
+fn scaled_norm(delta: &[f64], scale: &[f64]) -> f64 {
+    delta.iter().zip(scale).map(|(d, s)| s * d * d).sum::<f64>().sqrt()
+}
+
+/// The point of the dogleg path 0 → steepest descent → Gauss-Newton at distance `radius`.
+fn within_radius(newton: &[f64], steepest: &[f64], scale: &[f64], radius: f64) -> Vec<f64> {
+    if scaled_norm(newton, scale) <= radius {
+        return newton.to_vec();
+    }
+    let first = scaled_norm(steepest, scale);
+    if first >= radius {
+        return steepest.iter().map(|d| d * (radius / first)).collect();
+    }
+    // ‖s + t (n − s)‖ = radius, solved for t in (0, 1) in the form that does not cancel.
+    let difference: Vec<f64> = newton.iter().zip(steepest).map(|(n, s)| n - s).collect();
+    let a = scaled_norm(&difference, scale).powi(2);
+    let b: f64 = steepest.iter().zip(&difference).zip(scale).map(|((s, d), w)| w * s * d).sum();
+    let c = (radius - first) * (radius + first);
+    let root = (b * b + a * c).sqrt();
+    let t = if b > 0.0 { c / (b + root) } else { (root - b) / a };
+    steepest.iter().zip(&difference).map(|(s, d)| s + t * d).collect()
+}

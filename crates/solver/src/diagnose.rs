@@ -1,0 +1,189 @@
+//! What is free when a system is singular. Runs only on the way to an error.
+//!
+//! The null space of JᵀJ over the connected component of the failed variable is found by inverse
+//! iteration on a slightly damped factorization, and put into words.
+
+use std::collections::BTreeSet;
+
+use evergraph_model::Graph;
+use faer::linalg::solvers::Solve;
+use faer::sparse::{SparseColMat, Triplet};
+use faer::{Mat, Side};
+
+use crate::error::{FreeVariable, Singular};
+use crate::linearization::Blocks;
+
+/// Most null directions looked for: more than any gauge (7 with scale), so that a few single
+/// variables can be free at once too.
+const DIRECTIONS: usize = 12;
+/// Damping relative to diag(JᵀJ); far below any sound pivot ratio, far above rounding.
+const DAMPING: f64 = 1e-12;
+/// A direction is free if the information along it, relative to the diagonal, is below this.
+const FREE: f64 = 1e-9;
+/// Components of a free direction below this share of its largest do not take part.
+const TAKES_PART: f64 = 1e-3;
+
+/// Explains why the pivot of `variable` is zero, leaving out factors and variables that are being
+/// dropped.
+pub(crate) fn singular(
+    graph: &Graph,
+    blocks: &Blocks,
+    dropped: (&[u32], &[u32]),
+    variable: u32,
+) -> Singular {
+    let component = component_of(graph, dropped, variable);
+    let null = null_space(graph, blocks, dropped.0, &component);
+    let mut free: Vec<FreeVariable> = Vec::new();
+    for (position, &v) in component.variables.iter().enumerate() {
+        let dim = graph.dim_at(v as usize);
+        let start = component.starts[position];
+        let involved: Vec<usize> = (0..dim)
+            .filter(|i| null.iter().any(|direction| direction[start + i].abs() > TAKES_PART))
+            .collect();
+        if involved.is_empty() {
+            continue;
+        }
+        let kind = graph.kind_at(v as usize);
+        let directions = null
+            .iter()
+            .filter(|direction| (0..dim).any(|i| direction[start + i].abs() > TAKES_PART))
+            .count();
+        free.push(FreeVariable {
+            variable: graph.variable_id(v as usize),
+            dim,
+            free: directions.min(involved.len()),
+            components: involved.into_iter().map(|i| kind.component(i)).collect(),
+        });
+    }
+    let whole = component.variables.len();
+    if free.is_empty() {
+        // No direction is free to working precision, but this pivot was lost: name it alone.
+        let kind = graph.kind_at(variable as usize);
+        let dim = graph.dim_at(variable as usize);
+        free.push(FreeVariable {
+            variable: graph.variable_id(variable as usize),
+            dim,
+            free: 1,
+            components: (0..dim).map(|i| kind.component(i)).collect(),
+        });
+    }
+    if whole > 1 && free.len() == whole {
+        return Singular::Component {
+            examples: free.iter().take(5).map(|f| f.variable).collect(),
+            count: whole,
+            free: null.len(),
+        };
+    }
+    Singular::Variables { variables: free }
+}
+
+/// Variables that are connected, and where their scalars stand among those of the component.
+struct Component {
+    variables: Vec<u32>,
+    starts: Vec<usize>,
+    dim: usize,
+}
+
+fn component_of(graph: &Graph, (factors, variables): (&[u32], &[u32]), start: u32) -> Component {
+    let mut seen = BTreeSet::from([start]);
+    let mut stack = vec![start];
+    while let Some(v) = stack.pop() {
+        for &f in graph.factors_at(v as usize).iter().filter(|f| !factors.contains(f)) {
+            for &u in graph.variables_at(f as usize).iter().filter(|u| !variables.contains(u)) {
+                if seen.insert(u) {
+                    stack.push(u);
+                }
+            }
+        }
+    }
+    let variables: Vec<u32> = seen.into_iter().collect();
+    let mut starts = Vec::with_capacity(variables.len());
+    let mut dim = 0;
+    for &v in &variables {
+        starts.push(dim);
+        dim += graph.dim_at(v as usize);
+    }
+    Component { variables, starts, dim }
+}
+
+/// Orthonormal free directions of the component, each scaled to largest entry 1 (in the unscaled
+/// variables). Empty if none can be computed.
+fn null_space(
+    graph: &Graph,
+    blocks: &Blocks,
+    dropped: &[u32],
+    component: &Component,
+) -> Vec<Vec<f64>> {
+    let place = |v: u32| component.variables.binary_search(&v).ok().map(|i| component.starts[i]);
+    let factors: BTreeSet<u32> = component
+        .variables
+        .iter()
+        .flat_map(|&v| graph.factors_at(v as usize).iter().copied())
+        .filter(|f| !dropped.contains(f))
+        .collect();
+    // Columns scaled to unit length, so that units do not matter.
+    let mut scale = vec![0.0_f64; component.dim];
+    let mut columns: Vec<Vec<(usize, Vec<f64>)>> = Vec::new();
+    for &f in &factors {
+        let rows = graph.rows_at(f as usize);
+        let mut chunks = blocks.get(f as usize).chunks_exact(rows);
+        let mut list = Vec::new();
+        for &v in graph.variables_at(f as usize) {
+            let start = place(v);
+            for i in 0..graph.dim_at(v as usize) {
+                if let (Some(start), Some(column)) = (start, chunks.next()) {
+                    scale[start + i] += column.iter().map(|x| x * x).sum::<f64>();
+                    list.push((start + i, column.to_vec()));
+                }
+            }
+        }
+        columns.push(list);
+    }
+    scale.iter_mut().for_each(|s| *s = if *s > 0.0 { s.sqrt() } else { 1.0 });
+    let mut triplets = Vec::new();
+    for list in &columns {
+        for (i, a) in list {
+            for (j, b) in list {
+                if i >= j {
+                    let product: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
+                    triplets.push(Triplet::new(*i, *j, product / (scale[*i] * scale[*j])));
+                }
+            }
+        }
+    }
+    for i in 0..component.dim {
+        triplets.push(Triplet::new(i, i, DAMPING));
+    }
+    let Ok(matrix) =
+        SparseColMat::<usize, f64>::try_new_from_triplets(component.dim, component.dim, &triplets)
+    else {
+        return Vec::new();
+    };
+    let Ok(factor) = matrix.sp_cholesky(Side::Lower) else {
+        return Vec::new();
+    };
+    let count = DIRECTIONS.min(component.dim);
+    // A fixed start without symmetry; any will do.
+    let mut x =
+        Mat::from_fn(component.dim, count, |i, j| ((i * 7919 + j * 104_729 + 13) as f64).sin());
+    for _ in 0..4 {
+        x = factor.solve(&x);
+        x = x.qr().compute_thin_Q();
+    }
+    // Rayleigh-Ritz: eigenvectors of the small projected matrix separate free from stiff.
+    let solved = factor.solve(&x);
+    let projected = x.transpose() * &solved;
+    let Ok(eigen) = projected.self_adjoint_eigen(Side::Lower) else {
+        return Vec::new();
+    };
+    let directions = &x * eigen.U();
+    (0..count)
+        .filter(|&j| 1.0 / eigen.S()[j] < FREE)
+        .map(|j| {
+            let direction: Vec<f64> =
+                (0..component.dim).map(|i| directions[(i, j)] / scale[i]).collect();
+            let largest = direction.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
+            direction.into_iter().map(|x| x / largest).collect()
+        })
+        .collect()
+}

@@ -1,0 +1,76 @@
+//! Elimination of independent subtrees on several threads.
+
+use rayon::prelude::*;
+
+use super::{Eliminated, Job, System, Undetermined, Workspace, run_range};
+use crate::tree::Numeric;
+
+/// Jobs with less arithmetic than this (multiply-adds) stay on one thread: waking the others would
+/// take longer.
+const WORTH_SHARING: f64 = 4e6;
+/// The tree is cut into subtrees of at most this share of the whole work.
+const SHARE: f64 = 1.0 / 16.0;
+
+/// Eliminates disjoint subtrees in parallel, then what is above them on the calling thread.
+pub(super) fn run(
+    system: &System<'_>,
+    job: &Job,
+    workspace: &mut Workspace,
+    pool: &rayon::ThreadPool,
+    results: &mut Eliminated,
+) -> Result<(), Undetermined> {
+    let subtrees = cut(system, job);
+    if subtrees.len() > 1 {
+        let mut tasks: Vec<(usize, &mut [Option<Numeric>])> = Vec::with_capacity(subtrees.len());
+        let mut rest: &mut [Option<Numeric>] = &mut results.nodes;
+        let mut at = 0;
+        for (start, end) in subtrees {
+            let (_, tail) = rest.split_at_mut(start - at);
+            let (task, tail) = tail.split_at_mut(end - start);
+            tasks.push((start, task));
+            (rest, at) = (tail, end);
+        }
+        // Collected in the order of the subtrees, so the first failure is the same on any number
+        // of threads.
+        let outcomes: Vec<Result<_, Undetermined>> = pool.install(|| {
+            tasks
+                .into_par_iter()
+                .map_init(Workspace::default, |workspace, (start, slice)| {
+                    let mut kept = Vec::new();
+                    run_range(system, job, start, slice, &mut kept, workspace).map(|()| kept)
+                })
+                .collect()
+        });
+        for outcome in outcomes {
+            results.kept.extend(outcome?);
+        }
+    }
+    run_range(system, job, 0, &mut results.nodes, &mut results.kept, workspace)
+}
+
+/// Ranges of nodes that are whole subtrees, disjoint and in order; none if sharing does not pay.
+fn cut(system: &System<'_>, job: &Job) -> Vec<(usize, usize)> {
+    let mut first: Vec<usize> = (0..job.nodes.len()).collect();
+    let mut work: Vec<f64> = Vec::with_capacity(job.nodes.len());
+    for node in &job.nodes {
+        let structure = system.structure(node);
+        let (f, n) = (structure.frontal_dim as f64, structure.front_dim() as f64);
+        work.push(f * n * n / 2.0);
+    }
+    for (i, node) in job.nodes.iter().enumerate() {
+        if let Some(parent) = node.parent {
+            first[parent] = first[parent].min(first[i]);
+            work[parent] += work[i];
+        }
+    }
+    let total: f64 =
+        job.nodes.iter().zip(&work).filter(|(node, _)| node.parent.is_none()).map(|(_, w)| w).sum();
+    if total < WORTH_SHARING {
+        return Vec::new();
+    }
+    let small = |i: usize| work[i] <= total * SHARE;
+    (0..job.nodes.len())
+        .filter(|&i| small(i) && job.nodes[i].parent.is_none_or(|p| !small(p)))
+        .map(|i| (first[i], i + 1))
+        .collect()
+}

@@ -1,0 +1,139 @@
+//! One clique by QR: stack the whitened rows of its factors and its children's square-root
+//! contributions, triangularize, keep the rows below the frontal ones as the contribution.
+
+use super::{QR_PIVOT, System, Undetermined};
+use crate::dense::triangularize;
+use crate::eliminate::front::Workspace;
+use crate::tree::{Contribution, Numeric, Structure};
+
+/// Eliminates a clique whose children all have square-root contributions.
+pub(super) fn eliminate(
+    system: &System<'_>,
+    structure: &Structure,
+    children: &[(&Structure, &Numeric)],
+    workspace: &mut Workspace,
+) -> Result<Numeric, Undetermined> {
+    let n = structure.front_dim();
+    let frontal = structure.frontal_dim;
+    let factor_rows: usize =
+        structure.factors.iter().map(|&f| system.graph.rows_at(f as usize)).sum();
+    let child_rows: usize = children.iter().map(|(_, numeric)| root(numeric).0).sum();
+    let damping_rows = if system.damping.is_some() { frontal } else { 0 };
+    let m = factor_rows + child_rows + damping_rows;
+    workspace.start(system, structure, m);
+
+    let mut row = 0;
+    for &factor in &structure.factors {
+        row += place_factor(system, factor as usize, n, m, row, workspace);
+        workspace.add_factor_diagonal(system, factor as usize);
+    }
+    for (child, numeric) in children {
+        workspace.map_child(system, child, n);
+        let (rows, data) = root(numeric);
+        for &(from, to, len) in &workspace.runs {
+            for j in 0..len {
+                let target = (to + j) * m + row;
+                let source = (from + j) * rows;
+                workspace.front[target..target + rows]
+                    .copy_from_slice(&data[source..source + rows]);
+            }
+        }
+        workspace.add_diagonal(&numeric.diagonal);
+        row += rows;
+    }
+    if let Some(damping) = system.damping {
+        let scalars =
+            structure.frontals.iter().flat_map(|&v| system.graph.tangent_range(v as usize));
+        for (j, scalar) in scalars.enumerate() {
+            workspace.front[j * m + row + j] = damping[scalar].sqrt();
+            workspace.diagonal[j] += damping[scalar];
+        }
+    }
+    triangularize(&mut workspace.front, m, n);
+    collect(system, structure, m, frontal, workspace)
+}
+
+/// A child's square-root contribution: rows and data.
+fn root(numeric: &Numeric) -> (usize, &[f64]) {
+    match &numeric.contribution {
+        Contribution::Root { rows, data } => (*rows, data),
+        Contribution::Information(_) => {
+            unreachable!("children of a QR elimination are eliminated by QR first")
+        }
+    }
+}
+
+/// Copies `[J₁ … Jₖ | r]` to the rows from `row` on; returns how many they are.
+fn place_factor(
+    system: &System<'_>,
+    factor: usize,
+    n: usize,
+    m: usize,
+    row: usize,
+    workspace: &mut Workspace,
+) -> usize {
+    let graph = system.graph;
+    let rows = graph.rows_at(factor);
+    let mut source = system.blocks.get(factor).chunks_exact(rows);
+    let starts = graph.variables_at(factor).iter().flat_map(|&v| {
+        let start = workspace.position[v as usize] as usize;
+        start..start + graph.dim_at(v as usize)
+    });
+    for (column, data) in starts.chain(std::iter::once(n - 1)).zip(&mut source) {
+        workspace.front[column * m + row..][..rows].copy_from_slice(data);
+    }
+    rows
+}
+
+/// Takes the triangular factor apart: frontal rows to the panel (with positive diagonal), the rest
+/// to the contribution.
+fn collect(
+    system: &System<'_>,
+    structure: &Structure,
+    m: usize,
+    frontal: usize,
+    workspace: &Workspace,
+) -> Result<Numeric, Undetermined> {
+    let n = structure.front_dim();
+    let front = &workspace.front;
+    let mut panel = vec![0.0; frontal * n];
+    let mut pivot_ratio = f64::INFINITY;
+    for j in 0..frontal {
+        let pivot = if j < m { front[j * m + j] } else { 0.0 };
+        let ratio = pivot * pivot / workspace.diagonal[j];
+        // Written so that NaN (no information at all: 0/0) fails too.
+        if !(ratio > QR_PIVOT && ratio.is_finite()) {
+            return Err(Undetermined { variable: frontal_at(system, structure, j) });
+        }
+        pivot_ratio = pivot_ratio.min(ratio);
+        let sign = pivot.signum();
+        for i in j..n {
+            panel[j * n + i] = sign * front[i * m + j];
+        }
+    }
+    let columns = n - frontal;
+    let rows = columns.min(m - frontal);
+    let mut data = vec![0.0; rows * columns];
+    for (j, column) in data.chunks_exact_mut(rows.max(1)).enumerate() {
+        let source = (frontal + j) * m + frontal;
+        column.copy_from_slice(&front[source..source + rows]);
+    }
+    Ok(Numeric {
+        panel,
+        contribution: Contribution::Root { rows, data },
+        diagonal: workspace.diagonal[frontal..].to_vec(),
+        pivot_ratio,
+    })
+}
+
+/// The frontal variable that scalar column `j` belongs to.
+fn frontal_at(system: &System<'_>, structure: &Structure, j: usize) -> u32 {
+    let mut end = 0;
+    for &v in &structure.frontals {
+        end += system.graph.dim_at(v as usize);
+        if j < end {
+            return v;
+        }
+    }
+    structure.frontals[structure.frontals.len() - 1]
+}

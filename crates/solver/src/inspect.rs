@@ -1,0 +1,87 @@
+//! The linear system and its factor as plain sparse triplets, for oracles and for reading.
+
+use crate::smoother::Smoother;
+use crate::solve;
+
+/// `‖Jδ + r‖²`, its factor R, and the solution, over scalars in the order of elimination.
+#[derive(Clone, Debug)]
+pub struct LinearSystem {
+    /// Rows of J.
+    pub rows: usize,
+    /// Columns of J and R.
+    pub columns: usize,
+    /// Entries of J: row, column, value.
+    pub jacobian: Vec<(usize, usize, f64)>,
+    /// r.
+    pub residual: Vec<f64>,
+    /// Entries of R in its upper triangle: row, column, value.
+    pub factor: Vec<(usize, usize, f64)>,
+    /// d, with `Rᵀd = Jᵀr`.
+    pub rhs: Vec<f64>,
+    /// δ by back-substitution.
+    pub delta: Vec<f64>,
+}
+
+impl Smoother {
+    /// Copies the linear system out. O(entries); for tests and study.
+    pub fn linear_system(&self) -> LinearSystem {
+        let graph = &self.graph;
+        // Scalars in the order of elimination: children before parents.
+        let mut column_of = vec![usize::MAX; graph.tangent_len()];
+        let mut cliques = self.tree.top_down();
+        cliques.reverse();
+        let mut columns = 0;
+        for &c in &cliques {
+            for &v in &self.tree.clique(c).structure.frontals {
+                for scalar in graph.tangent_range(v as usize) {
+                    column_of[scalar] = columns;
+                    columns += 1;
+                }
+            }
+        }
+        let scalars_of = |variables: &[u32]| {
+            variables.iter().flat_map(|&v| graph.tangent_range(v as usize)).collect::<Vec<_>>()
+        };
+        let mut system = LinearSystem {
+            rows: 0,
+            columns,
+            jacobian: Vec::new(),
+            residual: Vec::new(),
+            factor: Vec::new(),
+            rhs: vec![0.0; columns],
+            delta: vec![0.0; columns],
+        };
+        for f in graph.factor_indices() {
+            let rows = graph.rows_at(f);
+            let block = self.blocks.get(f);
+            for (scalar, column) in
+                scalars_of(graph.variables_at(f)).into_iter().zip(block.chunks_exact(rows))
+            {
+                for (i, &x) in column.iter().enumerate() {
+                    system.jacobian.push((system.rows + i, column_of[scalar], x));
+                }
+            }
+            system.residual.extend_from_slice(&block[block.len() - rows..]);
+            system.rows += rows;
+        }
+        for &c in &cliques {
+            let clique = self.tree.clique(c);
+            let n = clique.structure.front_dim();
+            let scalars = scalars_of(&clique.structure.variables().collect::<Vec<_>>());
+            for (j, panel) in clique.numeric.panel.chunks_exact(n).enumerate() {
+                let row = column_of[scalars[j]];
+                for i in j..n - 1 {
+                    system.factor.push((row, column_of[scalars[i]], panel[i]));
+                }
+                system.rhs[row] = panel[n - 1];
+            }
+        }
+        let delta = solve::all(graph, &self.tree);
+        for (scalar, &column) in column_of.iter().enumerate() {
+            if column != usize::MAX {
+                system.delta[column] = delta[scalar];
+            }
+        }
+        system
+    }
+}

@@ -1,0 +1,70 @@
+//! The solver: keeps the solution of a growing nonlinear least-squares problem current.
+//!
+//! At linearization points X, with whitened residuals r and Jacobian J, the step δ that minimizes
+//! `‖Jδ + r‖²` solves
+//!
+//! ```text
+//! R δ = −d        RᵀR = JᵀJ,   Rᵀd = Jᵀr
+//! ```
+//!
+//! R, the square-root information matrix, is kept as a tree of cliques (Bayes tree). A change
+//! takes out the cliques that it touches and their ancestors, and eliminates those variables anew,
+//! in a fresh order; all subtrees below are kept with what they contribute. Batch is the same code
+//! on the whole tree.
+//!
+//! Start at [`Smoother`]. The solver names no particular factor, file format or removal rule.
+//!
+//! # Example
+//!
+//! ```
+//! use evergraph_factors::{BetweenPose2, Prior};
+//! use evergraph_model::{Noise, Pose2};
+//! use evergraph_solver::{Settings, Smoother};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let mut smoother = Smoother::new(Settings::default())?;
+//! let noise = Noise::from_sigmas(&[0.1, 0.1, 0.02])?;
+//!
+//! let mut change = smoother.change();
+//! let a = change.add_variable(&Pose2::new(0.0, 0.0, 0.0));
+//! change.add_factor(Prior::new(a, Pose2::new(0.0, 0.0, 0.0), noise.clone())?);
+//! let b = change.add_variable(&Pose2::new(0.9, 0.1, 0.0));
+//! change.add_factor(BetweenPose2::new(a, b, Pose2::new(1.0, 0.0, 0.0), noise)?);
+//! smoother.apply(change)?;
+//!
+//! assert!((smoother.estimate(b)?.x() - 1.0).abs() < 1e-9);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! # References
+//!
+//! - M. Kaess, A. Ranganathan, F. Dellaert, "iSAM: Incremental smoothing and mapping", T-RO 2008.
+//! - M. Kaess et al., "iSAM2: Incremental smoothing and mapping using the Bayes tree", IJRR 2012.
+//! - J. Liu, "The multifrontal method for sparse matrix solution", SIAM Review 1992.
+#![forbid(unsafe_code)]
+#![deny(missing_docs)]
+
+mod batch;
+mod dense;
+mod diagnose;
+mod eliminate;
+mod error;
+mod inspect;
+mod linearization;
+mod ordering;
+mod relinearize;
+mod report;
+mod settings;
+mod smoother;
+mod solve;
+mod symbolic;
+mod tree;
+mod update;
+
+pub use batch::{BatchReport, BatchSettings, Method, Reason, Status};
+pub use error::{FreeVariable, Singular, SmootherError};
+pub use inspect::LinearSystem;
+pub use report::{FactorizationSize, Report};
+pub use settings::{Elimination, Fluid, Relinearization, Settings, SettingsError};
+pub use smoother::Smoother;

@@ -1,0 +1,163 @@
+//! Choices made once, when a [`crate::Smoother`] is built.
+
+use std::num::NonZeroU32;
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// How the frontal variables of a clique are eliminated. Both give the same R up to signs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Elimination {
+    /// Normal equations per clique. Two to four times faster; where a pivot has lost its digits,
+    /// that subtree is eliminated again by QR.
+    #[default]
+    Cholesky,
+    /// Householder on factor rows, for ill-conditioned graphs.
+    Qr,
+}
+
+/// Relinearize, every `every` changes, the variables whose estimate lies further than `threshold`
+/// from the linearization point.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Fluid {
+    /// Largest component of δ that is tolerated (m and rad alike). Smaller is more exact and
+    /// slower.
+    pub threshold: f64,
+    /// Number of changes between checks.
+    pub every: NonZeroU32,
+}
+
+/// When linearization points move to the estimate: a policy, as data.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Relinearization {
+    /// The frequent check for what has moved far.
+    pub fluid: Option<Fluid>,
+    /// The rare check for what has moved at all.
+    pub sweep: Option<Fluid>,
+    /// Every so many changes all variables are relinearized and solved until convergence. Exact,
+    /// and the slowest step by far; iSAM uses 100, the GLC paper 50.
+    pub batch: Option<NonZeroU32>,
+}
+
+const fn interval(n: u32) -> NonZeroU32 {
+    match NonZeroU32::new(n) {
+        Some(n) => n,
+        None => panic!("intervals are at least 1"),
+    }
+}
+
+impl Relinearization {
+    /// Fluid with a threshold of 0.05 every 10 changes, and every 100 a sweep of what exceeds
+    /// 0.005. No step pays for the whole graph unless the whole graph has moved. The default.
+    pub const BOTH: Self = Self {
+        fluid: Some(Fluid { threshold: 0.05, every: interval(10) }),
+        sweep: Some(Fluid { threshold: 0.005, every: interval(100) }),
+        batch: None,
+    };
+    /// Only the frequent check of [`BOTH`](Self::BOTH).
+    pub const FLUID: Self = Self { fluid: Self::BOTH.fluid, sweep: None, batch: None };
+    /// Linearization points stay at the initial values.
+    pub const NEVER: Self = Self { fluid: None, sweep: None, batch: None };
+
+    /// Only a batch step to convergence every `n` changes.
+    pub const fn every(n: NonZeroU32) -> Self {
+        Self { fluid: None, sweep: None, batch: Some(n) }
+    }
+}
+
+impl Default for Relinearization {
+    fn default() -> Self {
+        Self::BOTH
+    }
+}
+
+/// The settings of a smoother.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// How cliques are eliminated. Default: Cholesky.
+    pub elimination: Elimination,
+    /// When linearization points move. Default: [`Relinearization::BOTH`].
+    pub relinearization: Relinearization,
+    /// Between updates δ is only propagated down the tree where it moved by more than this (m and
+    /// rad). It decides what a relinearization check sees; estimates that are asked for are always
+    /// exact. Default 1e-3.
+    pub back_substitution_tolerance: f64,
+    /// Threads for elimination; 1 never starts another. Results do not depend on it. Default 1.
+    pub threads: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            elimination: Elimination::default(),
+            relinearization: Relinearization::default(),
+            back_substitution_tolerance: 1e-3,
+            threads: 1,
+        }
+    }
+}
+
+/// A setting that cannot be.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[error("setting {field} is {value}, but must be {must}")]
+pub struct SettingsError {
+    /// The field's path.
+    pub field: &'static str,
+    /// What was given.
+    pub value: String,
+    /// What is allowed.
+    pub must: &'static str,
+}
+
+impl Settings {
+    /// Checks every field.
+    ///
+    /// # Errors
+    /// [`SettingsError`] names the first field that is out of range.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        let non_negative = |field, value: f64| {
+            if value.is_finite() && value >= 0.0 {
+                Ok(())
+            } else {
+                Err(SettingsError {
+                    field,
+                    value: value.to_string(),
+                    must: "a finite number, at least 0",
+                })
+            }
+        };
+        non_negative("back_substitution_tolerance", self.back_substitution_tolerance)?;
+        if let Some(fluid) = self.relinearization.fluid {
+            non_negative("relinearization.fluid.threshold", fluid.threshold)?;
+        }
+        if let Some(sweep) = self.relinearization.sweep {
+            non_negative("relinearization.sweep.threshold", sweep.threshold)?;
+        }
+        if self.threads == 0 || self.threads > 1024 {
+            return Err(SettingsError {
+                field: "threads",
+                value: self.threads.to_string(),
+                must: "between 1 and 1024",
+            });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bad_settings_are_named() {
+        assert!(Settings::default().check().is_ok());
+        let nan = Settings { back_substitution_tolerance: f64::NAN, ..Settings::default() };
+        assert_eq!(nan.check().unwrap_err().field, "back_substitution_tolerance");
+        let none = Settings { threads: 0, ..Settings::default() };
+        assert!(none.check().unwrap_err().to_string().contains("threads is 0"));
+        let mut negative = Settings::default();
+        negative.relinearization.fluid = Some(Fluid { threshold: -1.0, every: interval(1) });
+        assert_eq!(negative.check().unwrap_err().field, "relinearization.fluid.threshold");
+    }
+}

@@ -1,0 +1,468 @@
+//! The engine: keeps the best estimate current while changes come in.
+
+use std::hash::Hasher;
+use std::sync::Arc;
+
+use evergraph_model::{Change, Graph, Key, Manifold, Staged, Value, Values, VariableId};
+
+use crate::batch;
+use crate::dense::select_arch;
+use crate::diagnose;
+use crate::eliminate::{self, Eliminated, Job, NodeStructure, System, Undetermined, Workspace};
+use crate::error::SmootherError;
+use crate::linearization::Blocks;
+use crate::report::{FactorizationSize, Report};
+use crate::settings::Settings;
+use crate::solve;
+use crate::tree::{Clique, NONE, Tree};
+use crate::update::Affected;
+
+/// An incremental smoother: a factor graph, its square-root information matrix as a tree of
+/// cliques, and the estimate.
+///
+/// [`apply`](Self::apply) is the only way to alter it. It is `Send`; a clone is an independent
+/// smoother that understands the same keys.
+#[derive(Clone, Debug)]
+pub struct Smoother {
+    pub(crate) settings: Settings,
+    pub(crate) graph: Graph,
+    /// Linearization points, by [`Graph::value_range`].
+    pub(crate) points: Vec<f64>,
+    pub(crate) blocks: Blocks,
+    pub(crate) tree: Tree,
+    pub(crate) solution: solve::State,
+    /// Slot of the variable that is eliminated last.
+    newest: u32,
+    /// Changes applied.
+    steps: u64,
+    /// Right after an optimization the estimate is the point it found, which is the linearization
+    /// point: where it did not converge, the next Gauss-Newton step would lead away from it.
+    pub(crate) at_optimum: bool,
+    pub(crate) scratch: Scratch,
+}
+
+/// Buffers and helpers that are not part of the state.
+#[derive(Debug)]
+pub(crate) struct Scratch {
+    pub(crate) workspace: Workspace,
+    pub(crate) local: Vec<u32>,
+    pub(crate) arch: pulp::Arch,
+    pub(crate) pool: Option<Arc<rayon::ThreadPool>>,
+}
+
+impl Clone for Scratch {
+    fn clone(&self) -> Self {
+        Self {
+            workspace: Workspace::default(),
+            local: Vec::new(),
+            arch: self.arch,
+            pool: self.pool.clone(),
+        }
+    }
+}
+
+/// What it takes to go back to before a change was linearized.
+#[derive(Default)]
+struct Undo {
+    points_len: usize,
+    old_points: Vec<(u32, Vec<f64>)>,
+    old_blocks: Vec<(u32, Vec<f64>)>,
+    inserted: Vec<(u32, (usize, usize))>,
+}
+
+impl Smoother {
+    /// An empty smoother.
+    ///
+    /// # Errors
+    /// [`SmootherError::Settings`], [`SmootherError::Threads`].
+    pub fn new(settings: Settings) -> Result<Self, SmootherError> {
+        settings.check()?;
+        let pool = match settings.threads {
+            1 => None,
+            threads => Some(Arc::new(
+                rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(|error| {
+                    SmootherError::Threads { threads, reason: error.to_string() }
+                })?,
+            )),
+        };
+        Ok(Self {
+            settings,
+            graph: Graph::new(),
+            points: Vec::new(),
+            blocks: Blocks::default(),
+            tree: Tree::default(),
+            solution: solve::State::default(),
+            newest: NONE,
+            steps: 0,
+            at_optimum: false,
+            scratch: Scratch {
+                workspace: Workspace::default(),
+                local: Vec::new(),
+                arch: select_arch(),
+                pool,
+            },
+        })
+    }
+
+    /// An empty change for the graph as it is now.
+    pub fn change(&self) -> Change {
+        self.graph.change()
+    }
+
+    /// Applies a change, whole or not at all, and relinearizes when the policy says so.
+    ///
+    /// The work follows the part of the tree between the touched variables and the root: constant
+    /// for a pose that continues a trajectory, larger when a loop closes.
+    ///
+    /// # Errors
+    /// [`SmootherError`]; graph, estimate and factorization are then bit for bit what they were.
+    pub fn apply(&mut self, change: Change) -> Result<Report, SmootherError> {
+        // 1. Check the change, and add to the graph what it adds.
+        let staged = self.graph.stage(&change)?;
+        let moved: Vec<u32> = change.moves().iter().map(|(v, _)| v.index() as u32).collect();
+        // 2. Detach the cliques that it touches and their ancestors; gather their factors.
+        let affected = Affected::by_change(&self.graph, &self.tree, &staged, &moved);
+        // 3. Linearize new factors, and those of moved variables.
+        let mut undo = Undo { points_len: self.points.len(), ..Undo::default() };
+        if let Err(error) = self.linearize(&change, &staged, &mut undo) {
+            return Err(self.roll_back(undo, staged, error));
+        }
+        // 4. Order the affected variables and build the new cliques.
+        let newest = self.newest_after(&staged);
+        let job = affected.plan(&self.graph, &self.tree, newest, &mut self.scratch.local);
+        // 5. Eliminate them, bottom-up.
+        let eliminated = match self.eliminate(&job, None) {
+            Ok(eliminated) => eliminated,
+            Err(undetermined) => {
+                let error = self.explain(undetermined, &staged);
+                return Err(self.roll_back(undo, staged, error));
+            }
+        };
+        if let Some(error) = self.find_overflow(&job, &eliminated) {
+            return Err(self.roll_back(undo, staged, error));
+        }
+        // 6. Commit.
+        let mut report = Report {
+            variables_eliminated: affected.variables.len(),
+            cliques_eliminated: job.nodes.len(),
+            subtrees_kept: affected.orphans.len(),
+            smallest_pivot_ratio: smallest_pivot_ratio(&eliminated),
+            ..Report::default()
+        };
+        self.install(&affected, job, eliminated);
+        self.commit(staged, &moved);
+        self.newest = newest;
+        self.steps += 1;
+        self.at_optimum = false;
+        // 7. Relinearize what the policy asks for.
+        self.relinearize(&mut report);
+        report.rank = self.graph.dim();
+        Ok(report)
+    }
+
+    // --- Questions -------------------------------------------------------------------------
+
+    /// The graph.
+    pub fn graph(&self) -> &Graph {
+        &self.graph
+    }
+
+    /// The settings it was built with.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// How many changes have been applied.
+    pub fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    /// The estimate of one variable, exact for the current factorization. Costs the cliques
+    /// between the variable and its root: one for the newest variable.
+    ///
+    /// # Errors
+    /// [`SmootherError::Graph`] for a key that is stale or foreign.
+    pub fn estimate<V: Manifold>(&self, key: Key<V>) -> Result<V, SmootherError> {
+        let value = self.estimate_value(key.id())?;
+        Ok(value.get().expect("a typed key is only made for a variable of that type"))
+    }
+
+    /// [`estimate`](Self::estimate) for a variable of any type.
+    ///
+    /// # Errors
+    /// [`SmootherError::Graph`] for an id that is stale or foreign.
+    pub fn estimate_value(&self, variable: VariableId) -> Result<Value, SmootherError> {
+        self.graph.check_variable(variable)?;
+        let index = variable.index();
+        let point = &self.points[self.graph.value_range(index)];
+        if self.at_optimum {
+            return Ok(self.graph.value(index, point));
+        }
+        let delta = solve::path(&self.graph, &self.tree, index as u32);
+        let mut estimate = vec![0.0; point.len()];
+        self.graph.kind_at(index).retract(point, &delta, &mut estimate);
+        Ok(self.graph.value(index, &estimate))
+    }
+
+    /// The estimates of all variables, exact for the current factorization.
+    pub fn estimates(&self) -> Values {
+        Values::from_arena(&self.graph, &self.estimate_points())
+    }
+
+    /// The point at which a variable's factors are linearized.
+    ///
+    /// # Errors
+    /// [`SmootherError::Graph`] for a key that is stale or foreign.
+    pub fn linearization_point(&self, variable: VariableId) -> Result<Value, SmootherError> {
+        self.graph.check_variable(variable)?;
+        Ok(self
+            .graph
+            .value(variable.index(), &self.points[self.graph.value_range(variable.index())]))
+    }
+
+    /// The objective `½ Σ ‖r‖²` (robust factors: `Σ ρ`) at the estimate, all factors included.
+    pub fn error(&self) -> f64 {
+        self.graph.error(&self.estimate_points())
+    }
+
+    /// The objective over some of the factors, at the estimate.
+    pub fn error_of(&self, mut include: impl FnMut(evergraph_model::FactorId) -> bool) -> f64 {
+        let points = self.estimate_points();
+        self.graph
+            .factor_indices()
+            .filter(|&f| include(self.graph.factor_id(f)))
+            .map(|f| self.graph.factor_error(f, &points))
+            .sum()
+    }
+
+    /// Size of the factorization.
+    pub fn size(&self) -> FactorizationSize {
+        FactorizationSize {
+            cliques: self.tree.len(),
+            nonzeros: self.tree.nonzeros(),
+            columns: self.graph.dim(),
+        }
+    }
+
+    /// Smallest pivot over its diagonal entry of JᵀJ in the whole factorization; infinite for an
+    /// empty graph.
+    pub fn smallest_pivot_ratio(&self) -> f64 {
+        self.tree.pivot_ratio()
+    }
+
+    /// A hash of every bit of graph layout, linearization points, estimates and factorization:
+    /// equal states have equal fingerprints.
+    pub fn fingerprint(&self) -> u64 {
+        let mut hash = std::collections::hash_map::DefaultHasher::new();
+        let mut add = |x: f64| hash.write_u64(x.to_bits());
+        let delta = solve::all(&self.graph, &self.tree);
+        for v in self.graph.variable_indices() {
+            add(v as f64);
+            self.points[self.graph.value_range(v)].iter().for_each(|&x| add(x));
+            delta[self.graph.tangent_range(v)].iter().for_each(|&x| add(x));
+            self.solution.delta[self.graph.tangent_range(v)].iter().for_each(|&x| add(x));
+            add(f64::from(self.tree.clique_of(v as u32)));
+        }
+        for f in self.graph.factor_indices() {
+            add(f as f64);
+            self.blocks.get(f).iter().for_each(|&x| add(x));
+        }
+        for c in self.tree.top_down() {
+            let clique = self.tree.clique(c);
+            clique.structure.variables().for_each(|v| add(f64::from(v)));
+            clique.numeric.panel.iter().for_each(|&x| add(x));
+        }
+        hash.finish()
+    }
+
+    // --- Steps of `apply` ------------------------------------------------------------------
+
+    /// Linearizes what is new or moved, and notes in `undo` what that overwrites.
+    fn linearize(
+        &mut self,
+        change: &Change,
+        staged: &Staged,
+        undo: &mut Undo,
+    ) -> Result<(), SmootherError> {
+        self.points.resize(self.graph.value_len(), 0.0);
+        for (id, value) in change.new_variables() {
+            self.points[self.graph.value_range(id.index())].copy_from_slice(value.storage());
+        }
+        for (id, value) in change.moves() {
+            let range = self.graph.value_range(id.index());
+            undo.old_points.push((id.index() as u32, self.points[range.clone()].to_vec()));
+            self.points[range].copy_from_slice(value.storage());
+        }
+        for factor in staged.new_factors() {
+            undo.inserted.push((factor as u32, self.blocks.mark()));
+            if !self.blocks.insert(&self.graph, factor, &self.points) {
+                return Err(self.non_finite(factor));
+            }
+        }
+        let mut again: Vec<u32> = change
+            .moves()
+            .iter()
+            .flat_map(|(v, _)| self.graph.factors_at(v.index()).iter().copied())
+            .filter(|f| !staged.dropped_factors().contains(f))
+            .collect();
+        again.sort_unstable();
+        again.dedup();
+        for factor in again {
+            undo.old_blocks.push((factor, self.blocks.get(factor as usize).to_vec()));
+            if !self.blocks.relinearize(&self.graph, factor as usize, &self.points) {
+                return Err(self.non_finite(factor as usize));
+            }
+        }
+        Ok(())
+    }
+
+    pub(crate) fn non_finite(&self, factor: usize) -> SmootherError {
+        SmootherError::NonFinite {
+            factor: self.graph.factor_id(factor),
+            name: self.graph.factor_at(factor).name(),
+            variables: self.graph.factor_at(factor).keys().to_vec(),
+        }
+    }
+
+    fn roll_back(&mut self, undo: Undo, staged: Staged, error: SmootherError) -> SmootherError {
+        for (factor, block) in undo.old_blocks {
+            self.blocks.restore(factor as usize, &block);
+        }
+        for (factor, mark) in undo.inserted.into_iter().rev() {
+            self.blocks.undo_insert(factor as usize, mark);
+        }
+        for (variable, point) in undo.old_points {
+            self.points[self.graph.value_range(variable as usize)].copy_from_slice(&point);
+        }
+        self.points.truncate(undo.points_len);
+        self.graph.unstage(staged);
+        error
+    }
+
+    /// The variable to eliminate last: the latest of the largest new ones (of a pose and its
+    /// landmarks the pose, which the next change will continue), else the one so far.
+    fn newest_after(&self, staged: &Staged) -> u32 {
+        let new = staged.new_variables().max_by_key(|&v| self.graph.dim_at(v));
+        new.map_or(self.newest, |v| v as u32)
+    }
+
+    /// Eliminates a job with the current blocks and settings.
+    pub(crate) fn eliminate(
+        &mut self,
+        job: &Job,
+        damping: Option<&[f64]>,
+    ) -> Result<Eliminated, Undetermined> {
+        let system = System {
+            graph: &self.graph,
+            blocks: &self.blocks,
+            tree: &self.tree,
+            elimination: self.settings.elimination,
+            arch: self.scratch.arch,
+            damping,
+        };
+        let pool = self.scratch.pool.as_deref();
+        eliminate::eliminate(&system, job, &mut self.scratch.workspace, pool)
+    }
+
+    fn explain(&self, undetermined: Undetermined, staged: &Staged) -> SmootherError {
+        let excluded = (staged.dropped_factors(), staged.dropped_variables());
+        diagnose::singular(&self.graph, &self.blocks, excluded, undetermined.variable).into()
+    }
+
+    fn find_overflow(&self, job: &Job, eliminated: &Eliminated) -> Option<SmootherError> {
+        for (node, numeric) in job.nodes.iter().zip(&eliminated.nodes) {
+            let finite = numeric.as_ref().is_some_and(|n| n.panel.iter().all(|x| x.is_finite()));
+            if !finite && let NodeStructure::New(structure) = &node.structure {
+                let variable = self.graph.variable_id(structure.frontals[0] as usize);
+                return Some(SmootherError::Overflow { variable });
+            }
+        }
+        None
+    }
+
+    /// Replaces the detached cliques by the job's.
+    pub(crate) fn install(&mut self, affected: &Affected, job: Job, eliminated: Eliminated) {
+        for &clique in &affected.detached {
+            self.tree.remove(clique);
+        }
+        self.tree.forget_removed_roots();
+        let mut index_of = Vec::with_capacity(job.nodes.len());
+        for (node, numeric) in job.nodes.into_iter().zip(eliminated.nodes) {
+            let NodeStructure::New(structure) = node.structure else {
+                unreachable!("in-place jobs are installed by `install_numbers`");
+            };
+            let children = node
+                .children
+                .iter()
+                .map(|child| match child {
+                    eliminate::Child::Node(n) => index_of[*n],
+                    eliminate::Child::Kept(clique) => *clique,
+                })
+                .collect();
+            let numeric = numeric.expect("a finished elimination has numbers for every node");
+            let index =
+                self.tree.insert(Clique { structure, numeric, parent: NONE, children, solved: 0 });
+            for child in self.tree.clique(index).children.clone() {
+                self.tree.clique_mut(child).parent = index;
+            }
+            if node.parent.is_none() {
+                self.tree.roots.push(index);
+            }
+            index_of.push(index);
+        }
+        for (clique, numeric) in eliminated.kept {
+            self.tree.clique_mut(clique).numeric = numeric;
+        }
+    }
+
+    /// Gives existing cliques the new numbers of an in-place job.
+    pub(crate) fn install_numbers(&mut self, job: &Job, eliminated: Eliminated) {
+        for (node, numeric) in job.nodes.iter().zip(eliminated.nodes) {
+            if let (NodeStructure::Existing(index), Some(numeric)) = (&node.structure, numeric) {
+                let clique = self.tree.clique_mut(*index);
+                clique.numeric = numeric;
+                clique.solved = 0;
+            }
+        }
+        for (clique, numeric) in eliminated.kept {
+            self.tree.clique_mut(clique).numeric = numeric;
+        }
+    }
+
+    fn commit(&mut self, staged: Staged, moved: &[u32]) {
+        for &factor in staged.dropped_factors() {
+            self.blocks.remove(factor as usize);
+        }
+        self.solution.resize(&self.graph);
+        for variable in staged.new_variables() {
+            self.solution.reset(&self.graph, variable);
+        }
+        for &variable in moved {
+            self.solution.reset(&self.graph, variable as usize);
+        }
+        if staged.dropped_variables().contains(&self.newest) {
+            self.newest = NONE;
+        }
+        self.graph.commit(staged);
+    }
+
+    // --- Shared with relinearization and batch ---------------------------------------------
+
+    /// The variable that is eliminated last.
+    pub(crate) fn newest(&self) -> u32 {
+        self.newest
+    }
+
+    /// All estimates, exact, laid out as the linearization points.
+    pub(crate) fn estimate_points(&self) -> Vec<f64> {
+        if self.at_optimum {
+            return self.points.clone();
+        }
+        let delta = solve::all(&self.graph, &self.tree);
+        batch::retract_all(&self.graph, &self.points, &delta)
+    }
+}
+
+fn smallest_pivot_ratio(eliminated: &Eliminated) -> f64 {
+    eliminated.nodes.iter().flatten().map(|n| n.pivot_ratio).fold(f64::INFINITY, f64::min)
+}
