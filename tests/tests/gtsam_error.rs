@@ -1,0 +1,52 @@
+//! Our `error` is GTSAM's `graph.error()`: values printed by `tests/scripts/gtsam_error.py` with
+//! GTSAM 4.3.0 for the vertices of the files.
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test fails by panicking, and says what it saw"
+)]
+
+use evergraph::Settings;
+use evergraph::formats::{Initial, ReplayOptions};
+use evergraph::solver::Relinearization;
+use evergraph::{Replayer, model::Values};
+use evergraph_tests::{data_file, read};
+
+fn check(test: &str, file: &str, gtsam: f64) {
+    let Some(path) = data_file(test, file) else { return };
+    let options = ReplayOptions { initial: Initial::FromFile, ..ReplayOptions::default() };
+    let settings = Settings { relinearization: Relinearization::NEVER, ..Settings::default() };
+    let mut replayer = Replayer::new(&read(&path), &options, settings).unwrap();
+    replayer.everything().unwrap();
+    // The linearization points are the vertices of the file.
+    let smoother = replayer.smoother();
+    let graph = replayer.graph();
+    let mut arena = vec![0.0; graph.value_len()];
+    for id in graph.variables() {
+        let value = smoother.linearization_point(id).unwrap();
+        arena[graph.value_range(id.index())].copy_from_slice(value.storage());
+    }
+    assert_eq!(Values::from_arena(graph, &arena).len(), graph.variable_count());
+    let priors: Vec<_> =
+        replayer.replay().gauge_priors().iter().map(|p| p.factor.index()).collect();
+    let error: f64 = graph
+        .factor_indices()
+        .filter(|f| !priors.contains(f))
+        .map(|f| graph.factor_error(f, &arena))
+        .sum();
+    assert!((error - gtsam).abs() <= 1e-9 * gtsam, "{file}: {error}, GTSAM {gtsam}");
+}
+
+#[test]
+fn pose2() {
+    check("pose2", "pose2d/intel.g2o", 276.9978977821);
+    check("pose2", "pose2d/input_M3500_g2o.g2o", 1317356.27251191);
+}
+
+#[test]
+fn pose3() {
+    check("pose3", "pose3d/parking-garage.g2o", 8363.60194812);
+    check("pose3", "pose3d/sphere2500.g2o", 1305657.71180609);
+    check("pose3", "pose3d/duderstadt.g2o", 181.32064951532);
+    check("pose3", "pose3d/smallGrid3D.g2o", 83894.3334355331);
+}
