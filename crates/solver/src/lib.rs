@@ -53,6 +53,8 @@ mod error;
 mod inspect;
 mod linearization;
 mod ordering;
+mod quadratic;
+mod query;
 mod relinearize;
 mod report;
 mod settings;

@@ -16,7 +16,7 @@ impl Smoother {
     /// Step 7 of `apply`.
     pub(crate) fn relinearize(&mut self, report: &mut Report) {
         let policy = self.settings.relinearization;
-        let steps = self.steps();
+        let steps = self.steps;
         let due = |every: std::num::NonZeroU32| steps.is_multiple_of(u64::from(every.get()));
         if policy.batch.is_some_and(due) {
             match self.optimize(&BatchSettings::periodic()) {
@@ -124,7 +124,7 @@ impl Smoother {
     /// Eliminates everything in a fresh order, at the current linearization.
     pub(crate) fn rebuild(&mut self) -> Result<(), SmootherError> {
         let affected = Affected::everything(&self.tree);
-        let newest = self.newest();
+        let newest = self.newest;
         let job = affected.plan(&self.graph, &self.tree, newest, &mut self.scratch.local);
         let eliminated = self.eliminate(&job, None).map_err(|u| self.explain_here(u))?;
         self.install(&affected, job, eliminated);

@@ -1,17 +1,15 @@
 //! The engine: keeps the best estimate current while changes come in.
 
-use std::hash::Hasher;
 use std::sync::Arc;
 
-use evergraph_model::{Change, Graph, Key, Manifold, Staged, Value, Values, VariableId};
+use evergraph_model::{Change, Graph, Staged};
 
-use crate::batch;
 use crate::dense::select_arch;
 use crate::diagnose;
 use crate::eliminate::{self, Eliminated, Job, NodeStructure, System, Undetermined, Workspace};
 use crate::error::SmootherError;
 use crate::linearization::Blocks;
-use crate::report::{FactorizationSize, Report};
+use crate::report::Report;
 use crate::settings::Settings;
 use crate::solve;
 use crate::tree::{Clique, NONE, Tree};
@@ -32,9 +30,9 @@ pub struct Smoother {
     pub(crate) tree: Tree,
     pub(crate) solution: solve::State,
     /// Slot of the variable that is eliminated last.
-    newest: u32,
+    pub(crate) newest: u32,
     /// Changes applied.
-    steps: u64,
+    pub(crate) steps: u64,
     /// Right after an optimization the estimate is the point it found, which is the linearization
     /// point: where it did not converge, the next Gauss-Newton step would lead away from it.
     pub(crate) at_optimum: bool,
@@ -158,121 +156,6 @@ impl Smoother {
         self.relinearize(&mut report);
         report.rank = self.graph.dim();
         Ok(report)
-    }
-
-    // --- Questions -------------------------------------------------------------------------
-
-    /// The graph.
-    pub fn graph(&self) -> &Graph {
-        &self.graph
-    }
-
-    /// The settings it was built with.
-    pub fn settings(&self) -> &Settings {
-        &self.settings
-    }
-
-    /// How many changes have been applied.
-    pub fn steps(&self) -> u64 {
-        self.steps
-    }
-
-    /// The estimate of one variable, exact for the current factorization. Costs the cliques
-    /// between the variable and its root: one for the newest variable.
-    ///
-    /// # Errors
-    /// [`SmootherError::Graph`] for a key that is stale or foreign.
-    pub fn estimate<V: Manifold>(&self, key: Key<V>) -> Result<V, SmootherError> {
-        let value = self.estimate_value(key.id())?;
-        Ok(value.get().expect("a typed key is only made for a variable of that type"))
-    }
-
-    /// [`estimate`](Self::estimate) for a variable of any type.
-    ///
-    /// # Errors
-    /// [`SmootherError::Graph`] for an id that is stale or foreign.
-    pub fn estimate_value(&self, variable: VariableId) -> Result<Value, SmootherError> {
-        self.graph.check_variable(variable)?;
-        let index = variable.index();
-        let point = &self.points[self.graph.value_range(index)];
-        if self.at_optimum {
-            return Ok(self.graph.value(index, point));
-        }
-        let delta = solve::path(&self.graph, &self.tree, index as u32);
-        let mut estimate = vec![0.0; point.len()];
-        self.graph.kind_at(index).retract(point, &delta, &mut estimate);
-        Ok(self.graph.value(index, &estimate))
-    }
-
-    /// The estimates of all variables, exact for the current factorization.
-    pub fn estimates(&self) -> Values {
-        Values::from_arena(&self.graph, &self.estimate_points())
-    }
-
-    /// The point at which a variable's factors are linearized.
-    ///
-    /// # Errors
-    /// [`SmootherError::Graph`] for a key that is stale or foreign.
-    pub fn linearization_point(&self, variable: VariableId) -> Result<Value, SmootherError> {
-        self.graph.check_variable(variable)?;
-        Ok(self
-            .graph
-            .value(variable.index(), &self.points[self.graph.value_range(variable.index())]))
-    }
-
-    /// The objective `½ Σ ‖r‖²` (robust factors: `Σ ρ`) at the estimate, all factors included.
-    pub fn error(&self) -> f64 {
-        self.graph.error(&self.estimate_points())
-    }
-
-    /// The objective over some of the factors, at the estimate.
-    pub fn error_of(&self, mut include: impl FnMut(evergraph_model::FactorId) -> bool) -> f64 {
-        let points = self.estimate_points();
-        self.graph
-            .factor_indices()
-            .filter(|&f| include(self.graph.factor_id(f)))
-            .map(|f| self.graph.factor_error(f, &points))
-            .sum()
-    }
-
-    /// Size of the factorization.
-    pub fn size(&self) -> FactorizationSize {
-        FactorizationSize {
-            cliques: self.tree.len(),
-            nonzeros: self.tree.nonzeros(),
-            columns: self.graph.dim(),
-        }
-    }
-
-    /// Smallest pivot over its diagonal entry of JᵀJ in the whole factorization; infinite for an
-    /// empty graph.
-    pub fn smallest_pivot_ratio(&self) -> f64 {
-        self.tree.pivot_ratio()
-    }
-
-    /// A hash of every bit of graph layout, linearization points, estimates and factorization:
-    /// equal states have equal fingerprints.
-    pub fn fingerprint(&self) -> u64 {
-        let mut hash = std::collections::hash_map::DefaultHasher::new();
-        let mut add = |x: f64| hash.write_u64(x.to_bits());
-        let delta = solve::all(&self.graph, &self.tree);
-        for v in self.graph.variable_indices() {
-            add(v as f64);
-            self.points[self.graph.value_range(v)].iter().for_each(|&x| add(x));
-            delta[self.graph.tangent_range(v)].iter().for_each(|&x| add(x));
-            self.solution.delta[self.graph.tangent_range(v)].iter().for_each(|&x| add(x));
-            add(f64::from(self.tree.clique_of(v as u32)));
-        }
-        for f in self.graph.factor_indices() {
-            add(f as f64);
-            self.blocks.get(f).iter().for_each(|&x| add(x));
-        }
-        for c in self.tree.top_down() {
-            let clique = self.tree.clique(c);
-            clique.structure.variables().for_each(|v| add(f64::from(v)));
-            clique.numeric.panel.iter().for_each(|&x| add(x));
-        }
-        hash.finish()
     }
 
     // --- Steps of `apply` ------------------------------------------------------------------
@@ -444,22 +327,6 @@ impl Smoother {
             self.newest = NONE;
         }
         self.graph.commit(staged);
-    }
-
-    // --- Shared with relinearization and batch ---------------------------------------------
-
-    /// The variable that is eliminated last.
-    pub(crate) fn newest(&self) -> u32 {
-        self.newest
-    }
-
-    /// All estimates, exact, laid out as the linearization points.
-    pub(crate) fn estimate_points(&self) -> Vec<f64> {
-        if self.at_optimum {
-            return self.points.clone();
-        }
-        let delta = solve::all(&self.graph, &self.tree);
-        batch::retract_all(&self.graph, &self.points, &delta)
     }
 }
 

@@ -1,0 +1,111 @@
+//! Why a change, or a question, does not fit the graph.
+
+use thiserror::Error;
+
+use crate::key::{FactorId, VariableId};
+
+/// Why a change, or a question, does not fit the graph.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum GraphError {
+    /// The id was removed, or was never given.
+    #[error("variable {variable} is not in the graph (it was removed, or never added)")]
+    UnknownVariable {
+        /// The id asked for.
+        variable: VariableId,
+    },
+    /// The id was removed, or was never given.
+    #[error("factor {factor} is not in the graph (it was dropped, or never added)")]
+    UnknownFactor {
+        /// The id asked for.
+        factor: FactorId,
+    },
+    /// The id or the change was made by another graph.
+    #[error(
+        "{what} belongs to another graph; ids and changes are only good for the graph that made them"
+    )]
+    Foreign {
+        /// The id, or the change.
+        what: String,
+    },
+    /// The variable is of another type.
+    #[error("variable {variable} is a {actual}, not a {expected}")]
+    WrongType {
+        /// The variable.
+        variable: VariableId,
+        /// What was asked for.
+        expected: &'static str,
+        /// What it is.
+        actual: &'static str,
+    },
+    /// A factor cannot be put on a variable of this type.
+    #[error(
+        "factor {factor} ({name}) does not take a {actual} of dimension {dim} as its variable number {position} ({variable})"
+    )]
+    NotAccepted {
+        /// The factor.
+        factor: FactorId,
+        /// Its type.
+        name: String,
+        /// The variable.
+        variable: VariableId,
+        /// Place of the variable among the factor's keys, from 0.
+        position: usize,
+        /// The variable's type.
+        actual: &'static str,
+        /// The variable's dimension.
+        dim: usize,
+    },
+    /// A factor names a variable twice, or none at all, or has no residual.
+    #[error("factor {factor} ({name}) {problem}")]
+    MalformedFactor {
+        /// The factor.
+        factor: FactorId,
+        /// Its type.
+        name: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A value holds a NaN or an infinity.
+    #[error("the value given for variable {variable} is not finite: {value}")]
+    NonFiniteValue {
+        /// The variable.
+        variable: VariableId,
+        /// The offending numbers.
+        value: String,
+    },
+    /// A value has another type or dimension than the variable it is for.
+    #[error(
+        "the value given for variable {variable} is a {actual} of dimension {dim}, which does not fit"
+    )]
+    ValueMismatch {
+        /// The variable.
+        variable: VariableId,
+        /// Type of the value.
+        actual: &'static str,
+        /// Dimension of the value.
+        dim: usize,
+    },
+    /// The variable still has factors.
+    #[error(
+        "variable {variable} cannot be dropped while factor {factor} holds it; drop that factor in the same change, or plan a removal that keeps its information"
+    )]
+    StillHeld {
+        /// The variable.
+        variable: VariableId,
+        /// One of its factors.
+        factor: FactorId,
+    },
+    /// The same object is dropped or moved twice.
+    #[error("{what} appears twice in one change")]
+    Twice {
+        /// The object.
+        what: String,
+    },
+    /// Another change came first.
+    #[error("the change is stale: {reason}; make it again from the graph as it is now")]
+    Stale {
+        /// What has moved on.
+        reason: String,
+    },
+}

@@ -1,0 +1,37 @@
+//! Where the numbers of each variable stand in flat arrays.
+
+/// First-fit of equal lengths: freed ranges are used again for variables of the same size.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Layout {
+    pub(super) len: u32,
+    free: Vec<(u32, Vec<u32>)>,
+}
+
+impl Layout {
+    pub(super) fn allocate(&mut self, size: u32) -> (u32, u32) {
+        if let Some((_, starts)) = self.free.iter_mut().find(|(s, _)| *s == size)
+            && let Some(start) = starts.pop()
+        {
+            return (start, size);
+        }
+        let start = self.len;
+        self.len += size;
+        (start, size)
+    }
+
+    pub(super) fn release(&mut self, (start, size): (u32, u32)) {
+        match self.free.iter_mut().find(|(s, _)| *s == size) {
+            Some((_, starts)) => starts.push(start),
+            None => self.free.push((size, vec![start])),
+        }
+    }
+
+    /// Takes back the newest `allocate`, given the length before it.
+    pub(super) fn undo_allocate(&mut self, range: (u32, u32), len_before: u32) {
+        if self.len > len_before {
+            self.len = len_before;
+        } else {
+            self.release(range);
+        }
+    }
+}
