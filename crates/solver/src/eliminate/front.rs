@@ -20,7 +20,8 @@ pub(crate) struct Workspace {
 }
 
 impl Workspace {
-    /// Numbers the scalars of a front and clears its matrix of `rows` rows.
+    /// Numbers the scalars of a front and makes room for a matrix of `rows` rows, whatever it
+    /// holds.
     pub(crate) fn start(&mut self, system: &System<'_>, structure: &Structure, rows: usize) {
         self.position.resize(system.graph.variable_slots(), 0);
         let mut next = 0;
@@ -29,8 +30,9 @@ impl Workspace {
             next += system.graph.dim_at(v as usize) as u32;
         }
         let columns = structure.front_dim();
-        self.front.clear();
-        self.front.resize(rows * columns, 0.0);
+        if self.front.len() < rows * columns {
+            self.front.resize(rows * columns, 0.0);
+        }
         self.diagonal.clear();
         self.diagonal.resize(columns - 1, 0.0);
     }
@@ -89,6 +91,10 @@ pub(super) fn eliminate<'a>(
     let n = structure.front_dim();
     let frontal = structure.frontal_dim;
     workspace.start(system, structure, n);
+    // Only the lower triangle is ever read.
+    for (j, column) in workspace.front[..n * n].chunks_exact_mut(n).enumerate() {
+        column[j..].fill(0.0);
+    }
     for &factor in &structure.factors {
         add_factor(system, factor as usize, n, workspace);
         workspace.add_factor_diagonal(system, factor as usize);
@@ -109,7 +115,7 @@ pub(super) fn eliminate<'a>(
             workspace.diagonal[j] += damping[scalar];
         }
     }
-    let front = &mut workspace.front;
+    let front = &mut workspace.front[..n * n];
     let pivot_ratio =
         partial_cholesky(system.arch, front, n, frontal, &workspace.diagonal, CHOLESKY_PIVOT)?;
     Ok(Numeric {

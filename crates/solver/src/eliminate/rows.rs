@@ -21,6 +21,7 @@ pub(super) fn eliminate(
     let damping_rows = if system.damping.is_some() { frontal } else { 0 };
     let m = factor_rows + child_rows + damping_rows;
     workspace.start(system, structure, m);
+    workspace.front[..m * n].fill(0.0);
 
     let mut row = 0;
     for &factor in &structure.factors {
@@ -49,7 +50,7 @@ pub(super) fn eliminate(
             workspace.diagonal[j] += damping[scalar];
         }
     }
-    triangularize(&mut workspace.front, m, n);
+    triangularize(&mut workspace.front[..m * n], m, n);
     collect(system, structure, m, frontal, workspace)
 }
 
