@@ -82,10 +82,10 @@ impl Workspace {
 }
 
 /// Eliminates a clique from its factors and its children's contributions.
-pub(super) fn eliminate<'a>(
+pub(super) fn eliminate(
     system: &System<'_>,
     structure: &Structure,
-    children: impl Iterator<Item = (&'a Structure, &'a Numeric)>,
+    children: &[(&Structure, &Numeric)],
     workspace: &mut Workspace,
 ) -> Result<Numeric, BadPivot> {
     let n = structure.front_dim();

@@ -86,6 +86,12 @@ pub(crate) struct Eliminated {
     pub(crate) kept: Vec<(u32, Numeric)>,
 }
 
+impl Eliminated {
+    fn empty(job: &Job) -> Self {
+        Self { nodes: job.nodes.iter().map(|_| None).collect(), kept: Vec::new() }
+    }
+}
+
 /// A variable that is not determined by what was eliminated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Undetermined {
@@ -101,122 +107,83 @@ pub(crate) fn eliminate(
     workspace: &mut Workspace,
     threads: Option<&rayon::ThreadPool>,
 ) -> Result<Eliminated, Undetermined> {
-    let mut results = Eliminated { nodes: Vec::with_capacity(job.nodes.len()), kept: Vec::new() };
-    results.nodes.resize_with(job.nodes.len(), || None);
-    match threads {
-        Some(pool) => parallel::run(system, job, workspace, pool, &mut results)?,
-        None => run_range(system, job, 0, &mut results.nodes, &mut results.kept, workspace)?,
+    let mut results = Eliminated::empty(job);
+    // What fails first is only certain in sequence, so a failure is found again below.
+    if threads
+        .is_some_and(|pool| parallel::eliminate_subtrees(system, job, pool, &mut results).is_err())
+    {
+        results = Eliminated::empty(job);
     }
+    let Eliminated { nodes, kept } = &mut results;
+    Range { system, job, offset: 0, nodes, kept }.eliminate(workspace)?;
     Ok(results)
 }
 
-/// Eliminates the nodes `offset .. offset + results.len()` that have no result yet; their children
-/// lie in the same range.
-fn run_range(
-    system: &System<'_>,
-    job: &Job,
-    offset: usize,
-    results: &mut [Option<Numeric>],
-    kept: &mut Vec<(u32, Numeric)>,
-    workspace: &mut Workspace,
-) -> Result<(), Undetermined> {
-    for i in 0..results.len() {
-        if results[i].is_none() {
-            results[i] = Some(run_node(system, job, offset, i, results, kept, workspace)?);
-        }
-    }
-    Ok(())
-}
-
-fn run_node(
-    system: &System<'_>,
-    job: &Job,
-    offset: usize,
-    i: usize,
-    results: &mut [Option<Numeric>],
-    kept: &mut Vec<(u32, Numeric)>,
-    workspace: &mut Workspace,
-) -> Result<Numeric, Undetermined> {
-    if system.elimination == Elimination::Cholesky {
-        let node = &job.nodes[offset + i];
-        let inputs = Inputs { system, job, offset, results, kept };
-        let children = node.children.iter().map(|&child| inputs.of(child));
-        if let Ok(numeric) = front::eliminate(system, system.structure(node), children, workspace) {
-            return Ok(numeric);
-        }
-    }
-    eliminate_by_rows(system, job, offset, Child::Node(offset + i), results, kept, workspace)
-}
-
-/// Eliminates a node by QR. Children whose contribution is an information matrix are eliminated
-/// by QR first, from their own factor rows: in their Schur complements the digits are gone.
-fn eliminate_by_rows(
-    system: &System<'_>,
-    job: &Job,
-    offset: usize,
-    start: Child,
-    results: &mut [Option<Numeric>],
-    kept: &mut Vec<(u32, Numeric)>,
-    workspace: &mut Workspace,
-) -> Result<Numeric, Undetermined> {
-    // What has to be eliminated again, children after parents; done in reverse.
-    let mut pending = vec![start];
-    let mut next = 0;
-    while next < pending.len() {
-        let inputs = Inputs { system, job, offset, results, kept };
-        for child in inputs.children(pending[next]) {
-            if !inputs.of(child).1.contribution.is_root() {
-                pending.push(child);
-            }
-        }
-        next += 1;
-    }
-    loop {
-        let current = pending.pop().expect("the starting node ends the loop");
-        let numeric = {
-            let inputs = Inputs { system, job, offset, results, kept };
-            let children: SmallVec<[_; 4]> =
-                inputs.children(current).into_iter().map(|child| inputs.of(child)).collect();
-            rows::eliminate(system, inputs.structure(current), &children, workspace)?
-        };
-        if pending.is_empty() {
-            return Ok(numeric);
-        }
-        match current {
-            Child::Node(n) => results[n - offset] = Some(numeric),
-            Child::Kept(clique) => kept.push((clique, numeric)),
-        }
-    }
-}
-
-/// Looks up what children have to hand on.
-struct Inputs<'a> {
+/// A contiguous range of a job's nodes that holds the children of all of its nodes.
+struct Range<'a> {
     system: &'a System<'a>,
     job: &'a Job,
+    /// The first node.
     offset: usize,
-    results: &'a [Option<Numeric>],
-    kept: &'a [(u32, Numeric)],
+    nodes: &'a mut [Option<Numeric>],
+    kept: &'a mut Vec<(u32, Numeric)>,
 }
 
-impl<'a> Inputs<'a> {
-    fn structure(&self, of: Child) -> &'a Structure {
-        match of {
-            Child::Node(n) => self.system.structure(&self.job.nodes[n]),
-            Child::Kept(clique) => &self.system.tree.clique(clique).structure,
+impl<'a> Range<'a> {
+    /// Eliminates the nodes that have no numbers yet.
+    fn eliminate(&mut self, workspace: &mut Workspace) -> Result<(), Undetermined> {
+        for i in 0..self.nodes.len() {
+            if self.nodes[i].is_none() {
+                let numeric = self.eliminate_node(self.offset + i, workspace)?;
+                self.nodes[i] = Some(numeric);
+            }
         }
+        Ok(())
     }
 
-    fn of(&self, child: Child) -> (&'a Structure, &'a Numeric) {
-        let numeric = match child {
-            Child::Node(n) => {
-                self.results[n - self.offset].as_ref().expect("postorder: children come first")
+    fn eliminate_node(
+        &mut self,
+        node: usize,
+        workspace: &mut Workspace,
+    ) -> Result<Numeric, Undetermined> {
+        if self.system.elimination == Elimination::Cholesky {
+            let children = self.inputs(Child::Node(node));
+            let structure = self.structure(Child::Node(node));
+            if let Ok(numeric) = front::eliminate(self.system, structure, &children, workspace) {
+                return Ok(numeric);
             }
-            Child::Kept(clique) => {
-                let again = self.kept.iter().rev().find(|(c, _)| *c == clique);
-                again.map_or(&self.system.tree.clique(clique).numeric, |(_, numeric)| numeric)
+        }
+        self.eliminate_by_rows(node, workspace)
+    }
+
+    /// Eliminates a node by QR. Children whose contribution is an information matrix are
+    /// eliminated by QR first, from their own factor rows: in their Schur complements the digits
+    /// are gone.
+    fn eliminate_by_rows(
+        &mut self,
+        node: usize,
+        workspace: &mut Workspace,
+    ) -> Result<Numeric, Undetermined> {
+        // What has to be eliminated again, parents before children; done in reverse.
+        let mut pending = vec![Child::Node(node)];
+        let mut next = 0;
+        while next < pending.len() {
+            let children = self.children(pending[next]).into_iter();
+            pending.extend(children.filter(|&child| !self.numeric(child).contribution.is_root()));
+            next += 1;
+        }
+        loop {
+            let current = pending.pop().expect("the node itself ends the loop");
+            let numeric = {
+                let children = self.inputs(current);
+                rows::eliminate(self.system, self.structure(current), &children, workspace)?
+            };
+            match current {
+                Child::Node(n) if n == node => return Ok(numeric),
+                Child::Node(n) => self.nodes[n - self.offset] = Some(numeric),
+                Child::Kept(clique) => self.kept.push((clique, numeric)),
             }
-        };
-        (self.structure(child), numeric)
+        }
     }
 
     fn children(&self, of: Child) -> SmallVec<[Child; 4]> {
@@ -226,5 +193,32 @@ impl<'a> Inputs<'a> {
                 self.system.tree.clique(clique).children.iter().map(|&c| Child::Kept(c)).collect()
             }
         }
+    }
+
+    fn structure(&self, of: Child) -> &'a Structure {
+        match of {
+            Child::Node(n) => self.system.structure(&self.job.nodes[n]),
+            Child::Kept(clique) => &self.system.tree.clique(clique).structure,
+        }
+    }
+
+    fn numeric(&self, of: Child) -> &Numeric {
+        match of {
+            Child::Node(n) => {
+                self.nodes[n - self.offset].as_ref().expect("postorder: children come first")
+            }
+            Child::Kept(clique) => {
+                let again = self.kept.iter().rev().find(|(c, _)| *c == clique);
+                again.map_or(&self.system.tree.clique(clique).numeric, |(_, numeric)| numeric)
+            }
+        }
+    }
+
+    /// What the children hand on.
+    fn inputs(&self, of: Child) -> SmallVec<[(&'a Structure, &Numeric); 4]> {
+        self.children(of)
+            .into_iter()
+            .map(|child| (self.structure(child), self.numeric(child)))
+            .collect()
     }
 }

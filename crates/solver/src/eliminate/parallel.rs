@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::{Eliminated, Job, System, Undetermined, Workspace, run_range};
+use super::{Eliminated, Job, Range, System, Undetermined, Workspace};
 use crate::tree::Numeric;
 
 /// Jobs with less arithmetic than this (multiply-adds) stay on one thread: waking the others would
@@ -11,41 +11,40 @@ const WORTH_SHARING: f64 = 4e6;
 /// The tree is cut into subtrees of at most this share of the whole work.
 const SHARE: f64 = 1.0 / 16.0;
 
-/// Eliminates disjoint subtrees in parallel, then what is above them on the calling thread.
-pub(super) fn run(
+/// Eliminates disjoint subtrees in parallel; what is above them, or all if sharing does not pay, is
+/// left to the caller.
+pub(super) fn eliminate_subtrees(
     system: &System<'_>,
     job: &Job,
-    workspace: &mut Workspace,
     pool: &rayon::ThreadPool,
     results: &mut Eliminated,
 ) -> Result<(), Undetermined> {
-    let subtrees = cut(system, job);
-    if subtrees.len() > 1 {
-        let mut tasks: Vec<(usize, &mut [Option<Numeric>])> = Vec::with_capacity(subtrees.len());
-        let mut rest: &mut [Option<Numeric>] = &mut results.nodes;
-        let mut at = 0;
-        for (start, end) in subtrees {
-            let (_, tail) = rest.split_at_mut(start - at);
-            let (task, tail) = tail.split_at_mut(end - start);
-            tasks.push((start, task));
-            (rest, at) = (tail, end);
-        }
-        // Collected in the order of the subtrees, so the first failure is the same on any number
-        // of threads.
-        let outcomes: Vec<Result<_, Undetermined>> = pool.install(|| {
-            tasks
-                .into_par_iter()
-                .map_init(Workspace::default, |workspace, (start, slice)| {
-                    let mut kept = Vec::new();
-                    run_range(system, job, start, slice, &mut kept, workspace).map(|()| kept)
-                })
-                .collect()
-        });
-        for outcome in outcomes {
-            results.kept.extend(outcome?);
-        }
+    let mut tasks: Vec<(usize, &mut [Option<Numeric>])> = Vec::new();
+    let mut rest: &mut [Option<Numeric>] = &mut results.nodes;
+    let mut at = 0;
+    for (start, end) in cut(system, job) {
+        let (_, tail) = rest.split_at_mut(start - at);
+        let (task, tail) = tail.split_at_mut(end - start);
+        tasks.push((start, task));
+        (rest, at) = (tail, end);
     }
-    run_range(system, job, 0, &mut results.nodes, &mut results.kept, workspace)
+    if tasks.len() < 2 {
+        return Ok(());
+    }
+    let outcomes: Vec<Result<_, Undetermined>> = pool.install(|| {
+        tasks
+            .into_par_iter()
+            .map_init(Workspace::default, |workspace, (offset, nodes)| {
+                let mut kept = Vec::new();
+                Range { system, job, offset, nodes, kept: &mut kept }.eliminate(workspace)?;
+                Ok(kept)
+            })
+            .collect()
+    });
+    for outcome in outcomes {
+        results.kept.extend(outcome?);
+    }
+    Ok(())
 }
 
 /// Ranges of nodes that are whole subtrees, disjoint and in order; none if sharing does not pay.
