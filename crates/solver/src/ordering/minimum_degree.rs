@@ -62,7 +62,7 @@ fn count(row: &[u64]) -> u32 {
 
 fn bits(row: &[u64]) -> impl Iterator<Item = u32> {
     row.iter().enumerate().flat_map(|(i, &word)| {
-        std::iter::successors(Some(word), |w| Some(w & (w - 1)))
+        std::iter::successors(Some(word), |w| Some(w & w.wrapping_sub(1)))
             .take_while(|w| *w != 0)
             .map(move |w| i as u32 * 64 + w.trailing_zeros())
     })

@@ -1,0 +1,85 @@
+//! `evergraph convert`.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use evergraph::formats::Written;
+use serde_json::json;
+
+use crate::error::Error;
+use crate::files;
+use crate::options::{Common, Reading};
+use crate::output::Output;
+use crate::report::{self, SCHEMA};
+
+const EXAMPLES: &str = "\
+Examples:
+  evergraph convert manhattan.txt manhattan.g2o
+  evergraph convert killian.g2o killian.graph
+  evergraph convert victoria_park_gtsam.txt park.g2o --isam-matrix covariance
+
+The format that is written goes by the extension: .g2o, .graph and .toro (TORO), .txt (iSAM). The
+same format as read gives the same numbers, bit for bit.";
+
+/// Write a file in another format.
+#[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct Arguments {
+    /// A g2o, TORO or iSAM file
+    input: PathBuf,
+    /// What to write; the format goes by the extension
+    output: PathBuf,
+    #[command(flatten)]
+    reading: Reading,
+    #[command(flatten)]
+    common: Common,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
+    let common = &arguments.common;
+    let output = Output::new(common);
+    let document = arguments.reading.read(&arguments.input, common)?;
+    let written = files::write_document(&arguments.output, &document)?;
+    tell(&written, &arguments.output, output);
+    let report = json!({
+        "schema": SCHEMA,
+        "command": "convert",
+        "dataset": report::file_name(&arguments.input),
+        "output": arguments.output.display().to_string(),
+        "from": document.dialect().to_string(),
+        "lines": written.lines,
+        "dropped_vertices": written.dropped_vertices,
+        "added_vertices": written.added_vertices,
+        "renumbered_landmarks": written.renumbered_landmarks,
+        "skipped_lines": document.summary().skipped,
+    });
+    report::save(common.report.as_deref(), &report)?;
+    output.result(&format!(
+        "{}: {} lines, from {} ({})",
+        arguments.output.display(),
+        written.lines,
+        arguments.input.display(),
+        document.dialect()
+    ))
+}
+
+/// Warns about what a written file does not hold as its source does.
+pub(crate) fn tell(written: &Written, path: &Path, output: Output) {
+    let path = path.display();
+    if written.dropped_vertices > 0 {
+        let count = written.dropped_vertices;
+        output.warn(&format!("{path}: iSAM files have no vertices; {count} were left out"));
+    }
+    if written.added_vertices > 0 {
+        let count = written.added_vertices;
+        output.warn(&format!(
+            "{path}: TORO files need vertices; {count} were composed from odometry"
+        ));
+    }
+    if written.renumbered_landmarks > 0 {
+        let count = written.renumbered_landmarks;
+        output.warn(&format!(
+            "{path}: {count} landmarks whose ids are poses', too, got ids after all others"
+        ));
+    }
+}

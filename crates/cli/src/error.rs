@@ -1,0 +1,107 @@
+//! What can go wrong, and what the program says and returns then.
+
+use std::io;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::CommandFactory;
+use clap::error::ErrorKind;
+use evergraph::formats::{Document, FormatError};
+use evergraph::simulate::WorldError;
+use evergraph::solver::Singular;
+use evergraph::{Component, Overview, ReplayerError, SmootherError};
+use thiserror::Error;
+
+use crate::output;
+
+/// Why the program stops.
+#[derive(Debug, Error)]
+pub(crate) enum Error {
+    /// Nothing holds a component, as was asked for.
+    #[error(
+        "{file}: with `--prior none` nothing says where the connected component of pose {} lies \
+         ({} poses, {} landmarks). Leave `--prior` out, or give it a standard deviation. \
+         In full: {details}",
+        component.first, component.poses, component.landmarks
+    )]
+    NoGauge { file: String, component: Component, details: String },
+    /// The file is bad.
+    #[error(transparent)]
+    Format(#[from] FormatError),
+    /// A step of a replay was refused.
+    #[error(transparent)]
+    Replay(#[from] ReplayerError),
+    /// The problem cannot be solved.
+    #[error("{file}: {message}")]
+    Unsolvable { file: String, message: String, source: Box<SmootherError> },
+    /// The world that was asked for cannot be.
+    #[error("the world cannot be made: {0}")]
+    World(#[from] WorldError),
+    /// A file could not be written.
+    #[error("{}: cannot be written: {source}; nothing was put in its place", path.display())]
+    Write { path: PathBuf, source: io::Error },
+    /// A report could not be expressed.
+    #[error("the report cannot be written as JSON: {0}")]
+    Json(#[from] serde_json::Error),
+    /// Standard output does not take any more.
+    #[error("the result cannot be printed: {0}")]
+    Print(#[source] io::Error),
+    /// Options that do not go together.
+    #[error("{message}")]
+    Usage { command: &'static str, message: String },
+}
+
+impl Error {
+    /// Where nothing holds the gauge because none was asked for, says so.
+    pub(crate) fn with_gauge(self, prior: Option<f64>, document: &Document) -> Self {
+        let Self::Replay(ReplayerError::Step { pose, source, .. }) = &self else { return self };
+        let (true, None) = (is_singular(source), prior) else { return self };
+        let overview = Overview::of(document);
+        let component = match **source {
+            // Everything came in at once, and so nothing holds any of them: the first stands for all.
+            SmootherError::Singular(Singular::Component { .. }) => overview.components.first(),
+            _ => overview.component_of_pose(*pose),
+        };
+        let Some(component) = component.cloned() else { return self };
+        let details = self.to_string();
+        Self::NoGauge { file: document.name().into(), component, details }
+    }
+
+    /// Whether the problem is singular.
+    pub(crate) fn is_singular(&self) -> bool {
+        match self {
+            Self::NoGauge { .. } => true,
+            Self::Replay(ReplayerError::Step { source, .. }) | Self::Unsolvable { source, .. } => {
+                is_singular(source)
+            }
+            _ => false,
+        }
+    }
+
+    /// Tells the user, and says how the program ends.
+    pub(crate) fn end(&self) -> ExitCode {
+        match self {
+            // Whoever read the output has seen enough, as `| head` does.
+            Self::Print(source) if source.kind() == io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
+            Self::Usage { command, message } => {
+                let mut program = crate::Program::command();
+                program.build();
+                let error = match program.find_subcommand_mut(command) {
+                    Some(command) => command.error(ErrorKind::ArgumentConflict, message),
+                    None => program.error(ErrorKind::ArgumentConflict, message),
+                };
+                // Nothing is left to be done when the message cannot be printed.
+                let _ = error.print();
+                ExitCode::from(2)
+            }
+            other => {
+                output::complain(&other.to_string());
+                ExitCode::from(1)
+            }
+        }
+    }
+}
+
+fn is_singular(error: &SmootherError) -> bool {
+    matches!(error, SmootherError::Singular(_))
+}

@@ -1,0 +1,125 @@
+//! Output files: whole or not at all.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use evergraph::formats::{Dialect, Document, FormatError, Written};
+
+use crate::error::Error;
+
+/// A file under a temporary name beside its place, which it takes when it is finished; dropped
+/// before that, it is gone.
+#[derive(Debug)]
+pub(crate) struct NewFile {
+    /// As the user named it, for messages.
+    named: PathBuf,
+    /// What `named` leads to.
+    place: PathBuf,
+    /// `None` for what is no regular file, such as `/dev/null`: that is written directly.
+    temporary: Option<PathBuf>,
+    writer: BufWriter<File>,
+}
+
+impl NewFile {
+    pub(crate) fn create(path: &Path) -> Result<Self, Error> {
+        let failed = |source| Error::Write { path: path.to_path_buf(), source };
+        // Through symbolic links: the file is replaced, not the link.
+        let place = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
+        if fs::metadata(&place).is_ok_and(|it| !it.is_file() && !it.is_dir()) {
+            let file = OpenOptions::new().write(true).open(&place).map_err(failed)?;
+            return Ok(Self {
+                named: path.into(),
+                place,
+                temporary: None,
+                writer: BufWriter::new(file),
+            });
+        }
+        if place.is_dir() {
+            return Err(failed(io::ErrorKind::IsADirectory.into()));
+        }
+        let Some(name) = place.file_name() else {
+            return Err(failed(io::ErrorKind::InvalidFilename.into()));
+        };
+        let name = format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id());
+        let temporary = place.with_file_name(name);
+        let file = File::create(&temporary).map_err(failed)?;
+        let writer = BufWriter::new(file);
+        Ok(Self { named: path.into(), place, temporary: Some(temporary), writer })
+    }
+
+    /// Appends text.
+    pub(crate) fn write(&mut self, text: &str) -> Result<(), Error> {
+        self.writer.write_all(text.as_bytes()).map_err(|source| self.failed(source))
+    }
+
+    /// Puts the file in its place.
+    pub(crate) fn finish(mut self) -> Result<(), Error> {
+        self.writer.flush().map_err(|source| self.failed(source))?;
+        if let Some(temporary) = self.temporary.take() {
+            let renamed =
+                self.writer.get_ref().sync_all().and_then(|()| fs::rename(&temporary, &self.place));
+            if renamed.is_err() {
+                self.temporary = Some(temporary);
+            }
+            renamed.map_err(|source| self.failed(source))?;
+        }
+        Ok(())
+    }
+
+    fn failed(&self, source: io::Error) -> Error {
+        Error::Write { path: self.named.clone(), source }
+    }
+}
+
+impl Drop for NewFile {
+    fn drop(&mut self) {
+        if let Some(temporary) = &self.temporary {
+            // What cannot be removed stays; there is nobody left to tell.
+            let _ = fs::remove_file(temporary);
+        }
+    }
+}
+
+/// Writes text to a file.
+pub(crate) fn write_text(path: &Path, text: &str) -> Result<(), Error> {
+    let mut file = NewFile::create(path)?;
+    file.write(text)?;
+    file.finish()
+}
+
+/// Writes a document in the format of the path's extension.
+pub(crate) fn write_document(path: &Path, document: &Document) -> Result<Written, Error> {
+    let dialect = dialect_of(path)?;
+    // What the dialect cannot hold is found before a file is made.
+    check_fits(document, dialect)?;
+    let mut file = NewFile::create(path)?;
+    let written = document.write(&mut file.writer, dialect).map_err(|error| match error {
+        FormatError::Write { source, .. } => Error::Write { path: path.into(), source },
+        other => other.into(),
+    })?;
+    file.finish()?;
+    Ok(written)
+}
+
+/// Whether the document can be written to the path at all: asked before long work.
+pub(crate) fn check_output(path: &Path, document: &Document) -> Result<(), Error> {
+    check_fits(document, dialect_of(path)?)?;
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() && !folder.is_dir() => {
+            let source = io::Error::new(io::ErrorKind::NotFound, "there is no such folder");
+            Err(Error::Write { path: path.into(), source })
+        }
+        _ => Ok(()),
+    }
+}
+
+fn check_fits(document: &Document, dialect: Dialect) -> Result<(), Error> {
+    document.write(&mut io::sink(), dialect)?;
+    Ok(())
+}
+
+fn dialect_of(path: &Path) -> Result<Dialect, Error> {
+    let file = || path.display().to_string().into();
+    Ok(Dialect::of_extension(path).ok_or_else(|| FormatError::UnknownExtension { file: file() })?)
+}

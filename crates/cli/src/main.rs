@@ -1,0 +1,60 @@
+//! The `evergraph` program: replay, optimize, inspect, convert and simulate pose graphs.
+#![forbid(unsafe_code)]
+
+mod convert;
+mod error;
+mod files;
+mod info;
+mod optimize;
+mod options;
+mod output;
+mod progress;
+mod replay;
+mod report;
+mod simulate;
+mod steps;
+mod table;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Incremental smoothing of pose graphs: g2o, TORO and iSAM files.
+#[derive(Debug, Parser)]
+#[command(name = "evergraph", version, max_term_width = 100, after_help = EXIT_CODES)]
+struct Program {
+    #[command(subcommand)]
+    command: Command,
+}
+
+const EXIT_CODES: &str = "\
+Exit codes: 0 done, 1 the input or the problem is bad (a message says what and where), 2 usage.
+`evergraph <COMMAND> --help` has examples.";
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Drive a file through the smoother step by step, as the robot recorded it
+    Replay(replay::Arguments),
+    /// Solve a whole file at once
+    Optimize(optimize::Arguments),
+    /// Say what a file holds and what it costs as it stands
+    Info(info::Arguments),
+    /// Write a file in another format
+    Convert(convert::Arguments),
+    /// Make a world with known truth
+    Simulate(simulate::Arguments),
+}
+
+fn main() -> ExitCode {
+    let result = match Program::parse().command {
+        Command::Replay(arguments) => replay::run(&arguments),
+        Command::Optimize(arguments) => optimize::run(&arguments),
+        Command::Info(arguments) => info::run(&arguments),
+        Command::Convert(arguments) => convert::run(&arguments),
+        Command::Simulate(arguments) => simulate::run(&arguments),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => error.end(),
+    }
+}

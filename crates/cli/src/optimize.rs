@@ -1,0 +1,148 @@
+//! `evergraph optimize`.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use clap::{Args, ValueEnum};
+use evergraph::Replayer;
+use evergraph::solver::{BatchSettings, Method, Relinearization, Status as BatchStatus};
+use serde_json::json;
+
+use crate::error::Error;
+use crate::files;
+use crate::options::{Common, Reading, Solving, StartFrom};
+use crate::output::Output;
+use crate::replay::unsolvable;
+use crate::report::{self, Report, Run, Status, Times};
+use crate::table::number;
+
+const EXAMPLES: &str = "\
+Examples:
+  evergraph optimize sphere2500.g2o --output map.g2o
+  evergraph optimize manhattan.g2o --method dogleg --init odometry
+  evergraph optimize noisy.g2o --kernel pseudo-huber:1.0 --report out.json
+
+initial_error and error count the file's factors only. An optimization that does not converge is
+done, too (exit code 0): the status says so, and the estimate is the best point found.";
+
+/// How steps are chosen.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum MethodName {
+    /// Gauss-Newton; stops when a step would raise the error
+    Gn,
+    /// Levenberg-Marquardt
+    Lm,
+    /// Powell's dogleg
+    Dogleg,
+}
+
+/// Solve a whole file at once.
+#[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct Arguments {
+    /// A g2o, TORO or iSAM file
+    file: PathBuf,
+    /// How steps are chosen
+    #[arg(long, value_enum, default_value = "lm", help_heading = "Solving")]
+    method: MethodName,
+    /// Where variables start
+    #[arg(long, value_enum, default_value = "file", help_heading = "Solving")]
+    init: StartFrom,
+    /// Most linearizations
+    #[arg(long, value_name = "N", default_value_t = BatchSettings::default().max_iterations, help_heading = "Solving")]
+    max_iterations: u32,
+    #[command(flatten)]
+    solving: Solving,
+    /// Write the graph with the estimates as its vertices; .g2o, .graph, .toro or .txt (iSAM)
+    #[arg(long, short, value_name = "FILE", help_heading = "Output")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    reading: Reading,
+    #[command(flatten)]
+    common: Common,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
+    let begun = Instant::now();
+    let common = &arguments.common;
+    let output = Output::new(common);
+    let settings = arguments.solving.settings(Relinearization::NEVER, common.threads());
+    let method = match arguments.method {
+        MethodName::Gn => Method::GaussNewton,
+        MethodName::Lm => Method::LevenbergMarquardt,
+        MethodName::Dogleg => Method::Dogleg,
+    };
+    let batch_settings = BatchSettings {
+        method,
+        max_iterations: arguments.max_iterations,
+        ..BatchSettings::default()
+    };
+
+    let document = arguments.reading.read(&arguments.file, common)?;
+    if let Some(path) = &arguments.output {
+        files::check_output(path, &document)?;
+    }
+    let options = arguments.solving.replay_options(arguments.init);
+    let mut replayer = Replayer::new(&document, &options, settings)?;
+    let mut settings_json = arguments.solving.json(arguments.init, &settings)?;
+    settings_json["batch"] = serde_json::to_value(batch_settings)?;
+    settings_json["reading"] = arguments.reading.json();
+    let mut run = Run {
+        command: "optimize",
+        dataset: report::file_name(&arguments.file),
+        settings: settings_json,
+        time: Times::default(),
+        relinearizations: 0,
+        status: Status::Singular,
+        peak_rss_mb: None,
+    };
+
+    let mut took = std::time::Duration::ZERO;
+    let mut initial_error = None;
+    let outcome = (|| {
+        took += replayer.everything()?.update;
+        initial_error = Some(replayer.objective_at_linearization().error);
+        let start = Instant::now();
+        let batch = replayer.smoother_mut().optimize(&batch_settings);
+        took += start.elapsed();
+        batch.map_err(|source| unsolvable(&replayer, source))
+    })();
+    run.time = Times::of(&[took], begun.elapsed());
+    run.peak_rss_mb = report::peak_rss_mb();
+    let batch = match outcome {
+        Ok(batch) => batch,
+        Err(error) => {
+            let error = error.with_gauge(arguments.solving.prior.0, &document);
+            if error.is_singular() {
+                let mut report = Report::new(&replayer, run);
+                report.add("iterations", 0);
+                report.add("initial_error", json!(initial_error));
+                report.add("gradient_norm", json!(null));
+                report.add("message", error.to_string());
+                report.save(common.report.as_deref())?;
+            }
+            return Err(error);
+        }
+    };
+    let (status, words) = match batch.status {
+        BatchStatus::Converged => (Status::Converged, "converged".to_string()),
+        BatchStatus::NotConverged(reason) => {
+            (Status::NotConverged, format!("not converged ({reason:?})"))
+        }
+    };
+    run.status = status;
+    run.relinearizations = batch.iterations as usize * replayer.graph().variable_count();
+    let mut report = Report::new(&replayer, run);
+    report.add("iterations", batch.iterations);
+    report.add("initial_error", json!(initial_error));
+    report.add("gradient_norm", batch.gradient_norm);
+    report.save(common.report.as_deref())?;
+    if let Some(path) = &arguments.output {
+        let written = files::write_document(path, &replayer.solution(&document)?)?;
+        crate::convert::tell(&written, path, output);
+    }
+    let mut rows = report.table(&format!("{words} after {} iterations", batch.iterations));
+    rows.add("initial error", initial_error.map_or_else(String::new, number));
+    rows.add("gradient norm", format!("{:.3e} (largest component of J^T r)", batch.gradient_norm));
+    output.result(&rows)
+}

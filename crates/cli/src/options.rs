@@ -1,0 +1,301 @@
+//! Options that several subcommands share.
+
+use std::num::NonZeroU32;
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use evergraph::formats::{
+    Dialect, Document, G2oRotation, Initial, ReadOptions, ReplayOptions, WeightKind,
+};
+use evergraph::model::Kernel;
+use evergraph::solver::{Elimination, Fluid, Relinearization, Settings};
+
+use crate::error::Error;
+use crate::output::Output;
+
+/// What every subcommand takes.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct Common {
+    /// Write what happened as JSON
+    #[arg(long, value_name = "FILE.json", help_heading = "Output")]
+    pub report: Option<PathBuf>,
+    /// Say nothing but errors: no bar, no table, no warnings
+    #[arg(long, short, help_heading = "Output")]
+    pub quiet: bool,
+    /// Say more, on standard error
+    #[arg(long, short, conflicts_with = "quiet", help_heading = "Output")]
+    pub verbose: bool,
+    /// Threads; results do not depend on it [default: the cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+    /// Skip bad lines, count and list them, instead of stopping at the first
+    #[arg(long, help_heading = "Reading")]
+    pub lenient: bool,
+}
+
+impl Common {
+    pub(crate) fn threads(&self) -> usize {
+        let cores = || std::thread::available_parallelism().map_or(1, usize::from).min(1024);
+        self.threads.map_or_else(cores, usize::from)
+    }
+}
+
+/// How files are read.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Reading")]
+pub(crate) struct Reading {
+    /// The format; told by content if not given
+    #[arg(long, value_name = "g2o|toro|isam")]
+    pub format: Option<Dialect>,
+    /// What the matrices of an iSAM file are: nothing in the file says so
+    #[arg(long, value_name = "sqrt|information|covariance", default_value = "sqrt", value_parser = weight_kind)]
+    pub isam_matrix: WeightKind,
+    /// The unit of rotation weights in 3D g2o files: of the angle, or g2o's own, of the
+    /// quaternion's vector part
+    #[arg(long, value_name = "angle|quaternion", default_value = "angle", value_parser = rotation)]
+    pub g2o_rotation: G2oRotation,
+}
+
+fn weight_kind(name: &str) -> Result<WeightKind, String> {
+    name.parse()
+}
+
+fn rotation(name: &str) -> Result<G2oRotation, String> {
+    name.parse()
+}
+
+impl Reading {
+    /// Reads a file and warns about what is odd in it.
+    pub(crate) fn read(&self, path: &Path, common: &Common) -> Result<Document, Error> {
+        let document = Document::read(path, &self.options(common))?;
+        tell(&document, Output::new(common));
+        Ok(document)
+    }
+
+    pub(crate) fn options(&self, common: &Common) -> ReadOptions {
+        ReadOptions {
+            format: self.format,
+            isam_matrix: self.isam_matrix,
+            g2o_rotation: self.g2o_rotation,
+            lenient: common.lenient,
+        }
+    }
+
+    pub(crate) fn json(&self) -> serde_json::Value {
+        let isam_matrix = match self.isam_matrix {
+            WeightKind::SquareRoot => "sqrt",
+            WeightKind::Information => "information",
+            WeightKind::Covariance => "covariance",
+        };
+        let g2o_rotation = match self.g2o_rotation {
+            G2oRotation::Angle => "angle",
+            G2oRotation::Quaternion => "quaternion",
+        };
+        serde_json::json!({
+            "format": self.format.map(|it| it.to_string().to_lowercase()),
+            "isam_matrix": isam_matrix,
+            "g2o_rotation": g2o_rotation,
+        })
+    }
+}
+
+/// Bad lines that are listed without `--verbose`.
+const LISTED: usize = 10;
+
+fn tell(document: &Document, output: Output) {
+    for warning in document.summary().warnings() {
+        output.warn(&format!("{}: {warning}", document.name()));
+    }
+    for (at, skipped) in document.skipped().iter().enumerate() {
+        if at < LISTED {
+            output.warn(&format!("skipped {}", skipped.error));
+        } else {
+            output.detail(&format!("skipped {}", skipped.error));
+        }
+    }
+    if document.skipped().len() > LISTED {
+        let more = document.summary().skipped - LISTED;
+        output.warn(&format!("{more} more bad lines were skipped; --verbose lists them"));
+    }
+    for (tag, count) in &document.summary().ignored {
+        output.detail(&format!("{}: {count} {tag} lines were passed over", document.name()));
+    }
+}
+
+/// The gauge prior, as an option.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Prior(pub Option<f64>);
+
+fn prior(text: &str) -> Result<Prior, String> {
+    if text == "none" {
+        return Ok(Prior(None));
+    }
+    match text.parse::<f64>() {
+        Ok(sigma) if sigma > 0.0 && sigma.is_finite() => Ok(Prior(Some(sigma))),
+        _ => Err("give `none` or a standard deviation above 0 (m and rad)".into()),
+    }
+}
+
+fn kernel(text: &str) -> Result<Kernel, String> {
+    let (name, threshold) = text.split_once(':').ok_or("give NAME:THRESHOLD, as in huber:1.0")?;
+    let threshold: f64 = threshold.parse().map_err(|_| format!("`{threshold}` is no number"))?;
+    let kernel = match name {
+        "huber" => Kernel::huber(threshold),
+        "pseudo-huber" => Kernel::pseudo_huber(threshold),
+        _ => return Err(format!("`{name}` is no kernel; there are huber and pseudo-huber")),
+    };
+    kernel.map_err(|error| error.to_string())
+}
+
+/// Where variables start.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum StartFrom {
+    /// Composed along the edges
+    Odometry,
+    /// The file's vertices; where it has none, odometry
+    File,
+}
+
+impl StartFrom {
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Odometry => "odometry",
+            Self::File => "file",
+        }
+    }
+
+    pub(crate) fn initial(self) -> Initial {
+        match self {
+            Self::Odometry => Initial::FromOdometry,
+            Self::File => Initial::FromFile,
+        }
+    }
+}
+
+/// How cliques are eliminated.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum EliminationName {
+    /// Fast; falls back to QR where a pivot has lost its digits
+    Cholesky,
+    /// For ill-conditioned graphs
+    Qr,
+}
+
+/// How the problem is posed and solved.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Solving")]
+pub(crate) struct Solving {
+    /// How cliques are eliminated
+    #[arg(long, value_enum, default_value = "cholesky")]
+    pub elimination: EliminationName,
+    /// Robust kernel around every edge, with its threshold in standard deviations: huber:1.0 or
+    /// pseudo-huber:1.0
+    #[arg(long, value_name = "NAME:THRESHOLD", value_parser = kernel)]
+    pub kernel: Option<Kernel>,
+    /// Standard deviation (m, rad) of the prior that holds the first pose of each component, or
+    /// `none`
+    #[arg(long, value_name = "none|SIGMA", default_value = "0.01", allow_negative_numbers = true, value_parser = prior)]
+    pub prior: Prior,
+}
+
+impl Solving {
+    pub(crate) fn replay_options(&self, start: StartFrom) -> ReplayOptions {
+        ReplayOptions { prior: self.prior.0, initial: start.initial(), kernel: self.kernel }
+    }
+
+    pub(crate) fn settings(&self, relinearization: Relinearization, threads: usize) -> Settings {
+        let elimination = match self.elimination {
+            EliminationName::Cholesky => Elimination::Cholesky,
+            EliminationName::Qr => Elimination::Qr,
+        };
+        Settings { elimination, relinearization, threads, ..Settings::default() }
+    }
+
+    pub(crate) fn json(
+        &self,
+        start: StartFrom,
+        settings: &Settings,
+    ) -> Result<serde_json::Value, Error> {
+        Ok(serde_json::json!({
+            "solver": serde_json::to_value(settings)?,
+            "kernel": self.kernel.map(|it| format!("{}:{}", it.name(), it.threshold())),
+            "prior_sigma": self.prior.0,
+            "initial": start.name(),
+        }))
+    }
+}
+
+/// Which relinearization policy to start from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PolicyName {
+    /// What moved far every 10 steps, what moved at all every 100
+    Both,
+    /// A batch to convergence every 100 steps
+    Every,
+    /// Only what moved far, every 10 steps
+    Fluid,
+    /// Linearization points stay at the start values
+    Never,
+}
+
+/// When linearization points move.
+#[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "Relinearization")]
+pub(crate) struct Policy {
+    /// The policy
+    #[arg(long, value_enum, default_value = "both")]
+    pub relinearize: PolicyName,
+    /// A batch to convergence every N steps, besides the rest of the policy
+    #[arg(long, value_name = "N")]
+    pub relinearize_every: Option<NonZeroU32>,
+    /// How far an estimate may move (m, rad) before its variable is relinearized [default: 0.05]
+    #[arg(long, value_name = "X", allow_negative_numbers = true, value_parser = threshold)]
+    pub relinearize_threshold: Option<f64>,
+    /// Look for what moved far every N steps [default: 10]
+    #[arg(long, value_name = "N")]
+    pub fluid_every: Option<NonZeroU32>,
+}
+
+fn threshold(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x >= 0.0 && x.is_finite() => Ok(x),
+        _ => Err("give a number, at least 0".into()),
+    }
+}
+
+/// How often `--relinearize every` relinearizes when not told, as iSAM does.
+const BATCH_EVERY: NonZeroU32 = NonZeroU32::new(100).expect("100 is not 0");
+
+impl Policy {
+    pub(crate) fn relinearization(&self) -> Result<Relinearization, Error> {
+        let mut policy = match self.relinearize {
+            PolicyName::Both => Relinearization::BOTH,
+            PolicyName::Every => Relinearization::every(BATCH_EVERY),
+            PolicyName::Fluid => Relinearization::FLUID,
+            PolicyName::Never => Relinearization::NEVER,
+        };
+        if let Some(every) = self.relinearize_every {
+            policy.batch = Some(every);
+        }
+        let tuned = self.relinearize_threshold.is_some() || self.fluid_every.is_some();
+        match &mut policy.fluid {
+            Some(fluid) => {
+                *fluid = Fluid {
+                    threshold: self.relinearize_threshold.unwrap_or(fluid.threshold),
+                    every: self.fluid_every.unwrap_or(fluid.every),
+                };
+                // The sweep is the finer of the two.
+                if let Some(sweep) = &mut policy.sweep {
+                    sweep.threshold = sweep.threshold.min(fluid.threshold);
+                }
+            }
+            None if tuned => {
+                let message = "--relinearize-threshold and --fluid-every tune the policies `both` and `fluid`; \
+                               the policy asked for has no such check";
+                return Err(Error::Usage { command: "replay", message: message.into() });
+            }
+            None => {}
+        }
+        Ok(policy)
+    }
+}

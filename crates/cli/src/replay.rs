@@ -1,0 +1,280 @@
+//! `evergraph replay`.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use evergraph::formats::Document;
+use evergraph::solver::{BatchReport, BatchSettings, Settings, Status as BatchStatus};
+use evergraph::{Replayer, SmootherError};
+use serde_json::json;
+
+use crate::error::Error;
+use crate::files;
+use crate::options::{Common, Policy, Reading, Solving, StartFrom};
+use crate::output::Output;
+use crate::progress::Progress;
+use crate::report::{self, Report, Run, Status, Times};
+use crate::steps::{StepLog, Totals};
+
+const EXAMPLES: &str = "\
+Examples:
+  evergraph replay                                  the sample that is compiled in
+  evergraph replay manhattan.g2o --output map.g2o
+  evergraph replay city10000.txt --report out.json --steps steps.csv
+  evergraph replay sphere2500.g2o --relinearize every --relinearize-every 50
+  evergraph replay noisy.g2o --kernel huber:1.0 --final-batch
+
+Status:
+  converged      with --final-batch: it converged. Without: one more Gauss-Newton step with
+                 everything relinearized would lower the error by no more than 0.1 %
+  not_converged  neither
+  stopped        --max-steps ended the replay before the file did
+  singular       a step leaves some variable undetermined; the message says which";
+
+/// A sample of the kind of Olson's M3500, made by `evergraph simulate`; see data/README.md.
+const SAMPLE: &[u8] = include_bytes!("../../../data/manhattan3500.g2o");
+const SAMPLE_NAME: &str = "manhattan3500.g2o";
+
+/// By how much of the error a Gauss-Newton step may lower it where a replay counts as converged.
+/// Linearization points lag behind by design, and three digits are what the default policy keeps.
+const SETTLED: f64 = 1e-3;
+
+/// Drive a file through the smoother step by step, as the robot recorded it.
+#[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct Arguments {
+    /// A g2o, TORO or iSAM file; without it, a sample that is compiled into the program
+    file: Option<PathBuf>,
+    #[command(flatten)]
+    policy: Policy,
+    #[command(flatten)]
+    solving: Solving,
+    /// Where new variables start
+    #[arg(long, value_enum, default_value = "odometry", help_heading = "Solving")]
+    initial: StartFrom,
+    /// Solve everything to convergence at the end
+    #[arg(long, help_heading = "Solving")]
+    final_batch: bool,
+    /// Ask for all estimates after every step, as a program does that needs the whole map each time
+    #[arg(long, help_heading = "Solving")]
+    full_estimate: bool,
+    /// Stop after N steps
+    #[arg(long, value_name = "N")]
+    max_steps: Option<usize>,
+    /// Write the graph with the estimates as its vertices; .g2o, .graph, .toro or .txt (iSAM)
+    #[arg(long, short, value_name = "FILE", help_heading = "Output")]
+    output: Option<PathBuf>,
+    /// Write a line for each step
+    #[arg(long, value_name = "FILE.csv", help_heading = "Output")]
+    steps: Option<PathBuf>,
+    /// Fill in the error column of --steps, which costs a look at every factor in every step
+    #[arg(long, requires = "steps", help_heading = "Output")]
+    step_errors: bool,
+    #[command(flatten)]
+    reading: Reading,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// What the steps left behind.
+#[derive(Default)]
+struct Driven {
+    updates: Vec<Duration>,
+    relinearizations: usize,
+    refused: usize,
+    batches: usize,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
+    let begun = Instant::now();
+    let common = &arguments.common;
+    let output = Output::new(common);
+    let settings =
+        arguments.solving.settings(arguments.policy.relinearization()?, common.threads());
+
+    let (document, dataset) = read(arguments)?;
+    if let Some(path) = &arguments.output {
+        files::check_output(path, &document)?;
+    }
+    let options = arguments.solving.replay_options(arguments.initial);
+    let mut replayer =
+        Replayer::new(&document, &options, settings)?.with_full_estimate(arguments.full_estimate);
+    let total = replayer.replay().len();
+    let progress =
+        Progress::new(total.min(arguments.max_steps.unwrap_or(total)), output.is_interactive());
+
+    let mut driven = Driven::default();
+    let outcome = drive(&mut replayer, arguments, &mut driven, progress)
+        .map_err(|error| error.with_gauge(arguments.solving.prior.0, &document));
+    let (cut, batch) = match &outcome {
+        Ok((cut, batch)) => (*cut, *batch),
+        Err(error) if error.is_singular() => (false, None),
+        Err(_) => return outcome.map(drop),
+    };
+    let time = Times::of(&driven.updates, begun.elapsed());
+    let peak_rss_mb = report::peak_rss_mb();
+    let status = match (&outcome, cut, &batch) {
+        (Err(_), ..) => Status::Singular,
+        (_, true, _) => Status::Stopped,
+        (.., Some((batch, _))) if batch.status == BatchStatus::Converged => Status::Converged,
+        (.., Some(_)) => Status::NotConverged,
+        // A system that cannot be solved once it is relinearized is no optimum either.
+        (.., None) if replayer.is_settled(SETTLED).unwrap_or(false) => Status::Converged,
+        (.., None) => Status::NotConverged,
+    };
+    let run = Run {
+        command: "replay",
+        dataset,
+        settings: settings_json(arguments, &settings)?,
+        time,
+        relinearizations: driven.relinearizations,
+        status,
+        peak_rss_mb,
+    };
+    let mut report = Report::new(&replayer, run);
+    report.add("updates", driven.updates.len());
+    report.add("batches", driven.batches);
+    if let Some((batch, took)) = &batch {
+        let mut value = serde_json::to_value(batch)?;
+        value["seconds"] = json!(took.as_secs_f64());
+        report.add("final_batch", value);
+    }
+    if let Err(error) = &outcome {
+        report.add("message", error.to_string());
+    }
+    report.save(common.report.as_deref())?;
+    outcome?;
+
+    if let Some(path) = &arguments.output {
+        let written = files::write_document(path, &replayer.solution(&document)?)?;
+        crate::convert::tell(&written, path, output);
+    }
+    warn(&replayer, &driven, output);
+    output.result(&report.table(&in_words(&report, cut, &batch)))
+}
+
+fn read(arguments: &Arguments) -> Result<(Document, String), Error> {
+    match &arguments.file {
+        Some(path) => {
+            Ok((arguments.reading.read(path, &arguments.common)?, report::file_name(path)))
+        }
+        None => {
+            let options = arguments.reading.options(&arguments.common);
+            Ok((Document::parse(SAMPLE_NAME, SAMPLE, &options)?, SAMPLE_NAME.into()))
+        }
+    }
+}
+
+type Finished = (bool, Option<(BatchReport, Duration)>);
+
+/// Applies the steps and, if asked for, the final batch. Says whether steps are left.
+fn drive(
+    replayer: &mut Replayer,
+    arguments: &Arguments,
+    driven: &mut Driven,
+    mut progress: Progress,
+) -> Result<Finished, Error> {
+    let mut log = arguments.steps.as_deref().map(StepLog::create).transpose()?;
+    let outcome = apply_steps(replayer, arguments, driven, &mut progress, log.as_mut());
+    if outcome.is_err() {
+        progress.finish();
+    }
+    // A replay that was refused a step leaves the steps before it.
+    log.map_or(Ok(()), StepLog::finish)?;
+    let cut = outcome?;
+    let batch = if arguments.final_batch {
+        progress.say("final batch");
+        let start = Instant::now();
+        let result = replayer.smoother_mut().optimize(&BatchSettings::default());
+        progress.finish();
+        Some((result.map_err(|source| unsolvable(replayer, source))?, start.elapsed()))
+    } else {
+        None
+    };
+    progress.finish();
+    Ok((cut, batch))
+}
+
+fn apply_steps(
+    replayer: &mut Replayer,
+    arguments: &Arguments,
+    driven: &mut Driven,
+    progress: &mut Progress,
+    mut log: Option<&mut StepLog>,
+) -> Result<bool, Error> {
+    let total = replayer.replay().len();
+    let limit = arguments.max_steps.unwrap_or(total).min(total);
+    let mut totals = Totals { step: 0, variables: 0, factors: 0 };
+    while totals.step < limit {
+        let Some(done) = replayer.step()? else { break };
+        totals.step += 1;
+        totals.variables += done.step.variables;
+        totals.factors += done.step.factors;
+        driven.updates.push(done.update);
+        driven.relinearizations += done.report.variables_relinearized;
+        driven.refused += usize::from(done.report.relinearization_refused.is_some());
+        driven.batches += usize::from(done.report.batch.is_some());
+        if let Some(log) = log.as_deref_mut() {
+            let error = arguments.step_errors.then(|| replayer.error());
+            log.add(&done, totals, error)?;
+        }
+        progress.step(|| replayer.error());
+    }
+    Ok(totals.step < total)
+}
+
+/// An error of a solver call that is no step.
+pub(crate) fn unsolvable(replayer: &Replayer, source: SmootherError) -> Error {
+    let file = replayer.name().to_string();
+    Error::Unsolvable { file, message: replayer.explain(&source), source: Box::new(source) }
+}
+
+fn settings_json(arguments: &Arguments, settings: &Settings) -> Result<serde_json::Value, Error> {
+    let mut value = arguments.solving.json(arguments.initial, settings)?;
+    value["reading"] = arguments.reading.json();
+    value["full_estimate"] = json!(arguments.full_estimate);
+    value["final_batch"] = json!(arguments.final_batch);
+    value["max_steps"] = json!(arguments.max_steps);
+    Ok(value)
+}
+
+fn warn(replayer: &Replayer, driven: &Driven, output: Output) {
+    if driven.refused > 0 {
+        output.warn(&format!(
+            "{} relinearizations would have given a system that cannot be solved and were left out",
+            driven.refused
+        ));
+    }
+    let unseen = replayer.replay().unseen_landmarks();
+    if unseen > 0 {
+        output.warn(&format!("{unseen} landmarks that no pose sees were left out"));
+    }
+    for prior in replayer.replay().gauge_priors() {
+        let why = if prior.fixed { "FIX" } else { "first of its component" };
+        output.detail(&format!("gauge prior on pose {} ({why}), sigma {}", prior.id, prior.sigma));
+    }
+}
+
+fn in_words(report: &Report, cut: bool, batch: &Option<(BatchReport, Duration)>) -> String {
+    match (cut, batch) {
+        (true, _) => "stopped (--max-steps)".into(),
+        (_, Some((batch, took))) => {
+            let how = match batch.status {
+                BatchStatus::Converged => "converged".to_string(),
+                BatchStatus::NotConverged(reason) => format!("not converged ({reason:?})"),
+            };
+            format!(
+                "{how} in {} iterations of the final batch, {:.3} s",
+                batch.iterations,
+                took.as_secs_f64()
+            )
+        }
+        _ if report.status == Status::Converged => {
+            "converged (one more Gauss-Newton step gains no more than 0.1 %)".into()
+        }
+        _ => {
+            "not converged (one more Gauss-Newton step gains more than 0.1 %): --final-batch".into()
+        }
+    }
+}

@@ -1,0 +1,253 @@
+//! What a solving subcommand reports, for people and for programs.
+
+use std::path::Path;
+use std::time::Duration;
+
+use evergraph::{Objective, Replayer};
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use crate::error::Error;
+use crate::files;
+use crate::table::{CONVENTION, Rows, milliseconds, number};
+
+/// Version of the JSON reports.
+pub(crate) const SCHEMA: u32 = 1;
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Status {
+    Converged,
+    NotConverged,
+    Singular,
+    Stopped,
+}
+
+/// Times of the updates.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub(crate) struct Times {
+    update_s: f64,
+    mean_ms: f64,
+    p50_ms: f64,
+    p99_ms: f64,
+    max_ms: f64,
+    total_s: f64,
+}
+
+impl Times {
+    /// Of all updates; `total` is the wall clock, reading included.
+    pub(crate) fn of(updates: &[Duration], total: Duration) -> Self {
+        let mut ms: Vec<f64> = updates.iter().map(|it| 1e3 * it.as_secs_f64()).collect();
+        ms.sort_by(f64::total_cmp);
+        let sum: f64 = ms.iter().sum();
+        Self {
+            update_s: sum / 1e3,
+            mean_ms: if ms.is_empty() { 0.0 } else { sum / ms.len() as f64 },
+            p50_ms: percentile(&ms, 0.5),
+            p99_ms: percentile(&ms, 0.99),
+            max_ms: percentile(&ms, 1.0),
+            total_s: total.as_secs_f64(),
+        }
+    }
+}
+
+/// By linear interpolation between the closest ranks; 0 for nothing.
+fn percentile(sorted: &[f64], share: f64) -> f64 {
+    let Some(last) = sorted.len().checked_sub(1) else { return 0.0 };
+    let at = share * last as f64;
+    let (low, high) = (at.floor() as usize, at.ceil() as usize);
+    sorted[low] + (at - low as f64) * (sorted[high] - sorted[low])
+}
+
+/// The priors that hold the gauge, which are none of the file's factors.
+#[derive(Clone, Debug, Serialize)]
+struct Gauge {
+    /// The first of them, by its id in the file.
+    variable: u64,
+    sigmas: Vec<f64>,
+    /// Of all of them.
+    error: f64,
+    /// One for each connected component, or for each FIX.
+    variables: Vec<u64>,
+    fixed: bool,
+}
+
+/// What `replay` and `optimize` report.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct Report {
+    schema: u32,
+    command: &'static str,
+    dataset: String,
+    steps: usize,
+    variables: usize,
+    factors: usize,
+    settings: Value,
+    convention: &'static str,
+    error: f64,
+    chi2: f64,
+    gauge_prior: Option<Gauge>,
+    time: Times,
+    relinearizations: usize,
+    factor_nnz: usize,
+    fill_percent: f64,
+    peak_rss_mb: Option<f64>,
+    pub(crate) status: Status,
+    /// What only this subcommand has.
+    #[serde(flatten)]
+    pub(crate) extra: Map<String, Value>,
+}
+
+/// What the replayer does not know of a run.
+#[derive(Clone, Debug)]
+pub(crate) struct Run {
+    pub command: &'static str,
+    pub dataset: String,
+    pub settings: Value,
+    pub time: Times,
+    pub relinearizations: usize,
+    pub status: Status,
+    /// Taken before anything is done for the report's own sake.
+    pub peak_rss_mb: Option<f64>,
+}
+
+impl Report {
+    pub(crate) fn new(replayer: &Replayer, run: Run) -> Self {
+        let Objective { error, chi2 } = replayer.objective();
+        let size = replayer.smoother().size();
+        let graph = replayer.graph();
+        // A refused step is none of what is in the graph.
+        let priors: Vec<_> = replayer
+            .replay()
+            .gauge_priors()
+            .iter()
+            .filter(|prior| graph.check_factor(prior.factor).is_ok())
+            .collect();
+        let gauge_prior = priors.first().map(|first| Gauge {
+            variable: first.id,
+            sigmas: vec![first.sigma; graph.dim_at(first.variable.index())],
+            error: replayer.gauge_error(),
+            variables: priors.iter().map(|prior| prior.id).collect(),
+            fixed: first.fixed,
+        });
+        let in_graph = |variable| graph.check_variable(variable).is_ok();
+        let replay = replayer.replay();
+        Self {
+            schema: SCHEMA,
+            command: run.command,
+            dataset: run.dataset,
+            steps: replay
+                .ids()
+                .filter(|(id, v)| replay.pose(*id) == Some(*v) && in_graph(*v))
+                .count(),
+            variables: graph.variable_count(),
+            factors: graph.factor_count() - priors.len(),
+            settings: run.settings,
+            convention: CONVENTION,
+            error,
+            chi2,
+            gauge_prior,
+            time: run.time,
+            relinearizations: run.relinearizations,
+            factor_nnz: size.nonzeros,
+            fill_percent: size.fill_percent(),
+            peak_rss_mb: run.peak_rss_mb,
+            status: run.status,
+            extra: Map::new(),
+        }
+    }
+
+    pub(crate) fn add(&mut self, field: &str, value: impl Into<Value>) {
+        self.extra.insert(field.into(), value.into());
+    }
+
+    pub(crate) fn save(&self, path: Option<&Path>) -> Result<(), Error> {
+        save(path, self)
+    }
+
+    /// The rows that all solving subcommands show; `status` in words.
+    pub(crate) fn table(&self, status: &str) -> Rows {
+        let mut rows = Rows::new("data set", &self.dataset);
+        rows.add("steps (poses)", self.steps);
+        rows.add("variables", self.variables);
+        rows.add("factors", format!("{} (the file's)", self.factors));
+        rows.add("error", number(self.error));
+        rows.add("chi2", number(self.chi2));
+        rows.add("convention", "error = 1/2 sum |r|^2 (robust: sum rho), chi2 = sum |r|^2,");
+        rows.add("", "r = whitened Log(z^-1 xi^-1 xj), the file's factors only");
+        match &self.gauge_prior {
+            Some(gauge) => rows.add("gauge prior", gauge.describe()),
+            None => rows.add("gauge prior", "none"),
+        }
+        let time = self.time;
+        rows.add("update time", milliseconds(1e3 * time.update_s));
+        if self.command == "replay" {
+            let [mean, p50, p99, max] =
+                [time.mean_ms, time.p50_ms, time.p99_ms, time.max_ms].map(milliseconds);
+            rows.add("  a step", format!("mean {mean}, p50 {p50}, p99 {p99}, max {max}"));
+        }
+        rows.add("total time", milliseconds(1e3 * time.total_s));
+        rows.add("relinearizations", format!("{} variables", self.relinearizations));
+        rows.add(
+            "factor (R)",
+            format!("{} scalars, fill {:.3} %", self.factor_nnz, self.fill_percent),
+        );
+        if let Some(mb) = self.peak_rss_mb {
+            rows.add("peak memory", format!("{mb:.1} MB"));
+        }
+        rows.add("status", status);
+        rows
+    }
+}
+
+impl Gauge {
+    fn describe(&self) -> String {
+        let on = match self.variables.as_slice() {
+            [one] => format!("pose {one}"),
+            many => format!("{} poses, pose {} first", many.len(), self.variable),
+        };
+        let why = if self.fixed { " (FIX)" } else { "" };
+        let (sigma, error) = (number(self.sigmas[0]), number(self.error));
+        format!("on {on}{why}, sigma {sigma} m and rad, error {error} (not in the above)")
+    }
+}
+
+/// Writes a report, if one is asked for.
+pub(crate) fn save(path: Option<&Path>, report: &impl Serialize) -> Result<(), Error> {
+    let Some(path) = path else { return Ok(()) };
+    let mut text = serde_json::to_string_pretty(report)?;
+    text.push('\n');
+    files::write_text(path, &text)
+}
+
+/// The name of a file without its folder.
+pub(crate) fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// Most memory that the process has had (MB of 2^20 bytes), where the system says so.
+pub(crate) fn peak_rss_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kb: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kb / 1024.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_interpolate() {
+        let sorted: Vec<f64> = (0..101).map(f64::from).collect();
+        assert_eq!(percentile(&sorted, 0.99), 99.0);
+        assert_eq!(percentile(&[1.0, 2.0], 0.5), 1.5);
+        assert_eq!(percentile(&[7.0], 0.99), 7.0);
+        assert_eq!(percentile(&[], 0.99), 0.0);
+    }
+
+    #[test]
+    fn times_of_nothing_are_zero() {
+        assert_eq!(Times::of(&[], Duration::ZERO).mean_ms, 0.0);
+    }
+}

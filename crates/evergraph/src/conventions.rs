@@ -1,0 +1,143 @@
+//! What a map costs, and in whose convention.
+//!
+//! This library measures the error of an edge as `e = Log(z⁻¹ xᵢ⁻¹ xⱼ)`, with the full logarithm of
+//! SE(2) and SE(3). g2o takes, of the same product, translation and angle in 2D, translation and the
+//! vector part of the quaternion in 3D. Both vanish together, but the sums differ away from zero, in
+//! 3D by the unit of the rotation (half an angle) as well: compare numbers of one convention only.
+
+use evergraph_factors::{BetweenPose2, BetweenPose3};
+use evergraph_formats::G2oRotation;
+use evergraph_model::{Arguments, Factor, FactorId, Graph, LieGroup, Noise, Pose2, Pose3, Robust};
+
+/// What a map costs.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Objective {
+    /// `½ Σ ‖r‖²` over whitened residuals, after robust kernels `Σ ρ`.
+    pub error: f64,
+    /// `Σ ‖r‖²`, without kernels.
+    pub chi2: f64,
+}
+
+impl Objective {
+    /// Evaluates the factors that `include` names at `points`, which are laid out as
+    /// [`Graph::value_range`] says.
+    pub fn at(graph: &Graph, points: &[f64], mut include: impl FnMut(FactorId) -> bool) -> Self {
+        let mut sum = Self::default();
+        let mut residual = Vec::new();
+        for f in graph.factor_indices().filter(|&f| include(graph.factor_id(f))) {
+            let factor = graph.factor_at(f);
+            residual.clear();
+            residual.resize(graph.rows_at(f), 0.0);
+            with_arguments(graph, f, points, |at| factor.residual(at, &mut residual));
+            sum.error += factor.error(&residual);
+            sum.chi2 += squared_norm(&residual);
+        }
+        sum
+    }
+}
+
+/// g2o's chi2 of all factors at `points` (as in [`Objective::at`]), without kernels. `rotation` says
+/// how the file's 3D matrices were read, so that they count as they stand in the file.
+pub fn g2o_chi2(graph: &Graph, points: &[f64], rotation: G2oRotation) -> f64 {
+    let of_factor = |f| {
+        let mut squared = 0.0;
+        with_arguments(graph, f, points, |at| {
+            squared = g2o_squared(graph.factor_at(f), at, rotation);
+        });
+        squared
+    };
+    graph.factor_indices().map(of_factor).sum()
+}
+
+fn g2o_squared(factor: &dyn Factor, at: &Arguments<'_>, rotation: G2oRotation) -> f64 {
+    if let Some(between) = unwrapped::<BetweenPose2>(factor) {
+        let (from, to): (Pose2, Pose2) = (at.get(0), at.get(1));
+        let d = between.measurement().between(&from.between(&to));
+        return whitened(between.noise(), &mut [d.x(), d.y(), d.theta()]);
+    }
+    if let Some(between) = unwrapped::<BetweenPose3>(factor) {
+        let (from, to): (Pose3, Pose3) = (at.get(0), at.get(1));
+        let d = between.measurement().between(&from.between(&to));
+        let [qx, qy, qz, qw] = d.rotation().quaternion();
+        // q and -q are the same rotation; g2o takes the one with w >= 0.
+        let sign = if qw < 0.0 { -1.0 } else { 1.0 };
+        // Matrices that were taken from half angles to angles go with twice the vector part.
+        let unit = sign * if rotation == G2oRotation::Quaternion { 2.0 } else { 1.0 };
+        return whitened(
+            between.noise(),
+            &mut [d.x(), d.y(), d.z(), unit * qx, unit * qy, unit * qz],
+        );
+    }
+    // Landmarks: the same in both conventions.
+    let mut residual = vec![0.0; factor.residual_dim()];
+    factor.residual(at, &mut residual);
+    squared_norm(&residual)
+}
+
+/// The factor as an `F`, under a robust kernel or not.
+fn unwrapped<F: Factor>(factor: &dyn Factor) -> Option<&F> {
+    let any = factor.as_any();
+    any.downcast_ref::<F>().or_else(|| Some(any.downcast_ref::<Robust<F>>()?.inner()))
+}
+
+fn whitened(noise: &Noise, residual: &mut [f64]) -> f64 {
+    noise.whiten_columns(residual);
+    squared_norm(residual)
+}
+
+fn squared_norm(residual: &[f64]) -> f64 {
+    residual.iter().map(|r| r * r).sum()
+}
+
+fn with_arguments(
+    graph: &Graph,
+    factor: usize,
+    points: &[f64],
+    evaluate: impl FnOnce(&Arguments<'_>),
+) {
+    let storages: Vec<&[f64]> = graph
+        .variables_at(factor)
+        .iter()
+        .map(|&v| &points[graph.value_range(v as usize)])
+        .collect();
+    evaluate(&Arguments::new(&storages));
+}
+
+#[cfg(test)]
+mod tests {
+    use evergraph_formats::{Document, Initial, ReadOptions};
+
+    use super::*;
+    use crate::Start;
+
+    fn start(text: &str) -> Start {
+        let document = Document::parse("test", text.as_bytes(), &ReadOptions::default()).unwrap();
+        Start::of(&document, Initial::FromFile).unwrap()
+    }
+
+    #[test]
+    fn in_the_plane_g2o_takes_translation_and_angle() {
+        let start =
+            start("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 2 0.5\nEDGE_SE2 0 1 0 0 0 1 0 0 1 0 4\n");
+        assert!((start.g2o_chi2(G2oRotation::Angle) - (1.0 + 4.0 + 4.0 * 0.25)).abs() < 1e-12);
+        // The logarithm's translation is longer than the chord by (θ/2)/sin(θ/2).
+        let stretch = (0.25 / 0.25_f64.sin()).powi(2);
+        let objective = start.objective();
+        assert!((objective.chi2 - (5.0 * stretch + 1.0)).abs() < 1e-12);
+        assert_eq!(objective.error, 0.5 * objective.chi2);
+    }
+
+    #[test]
+    fn in_space_g2o_takes_the_quaternion_vector_part() {
+        let (sin, cos) = 0.3_f64.sin_cos();
+        let identity6 = "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1";
+        let text = format!(
+            "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 0 0 0 0 0 {} {}\n\
+             EDGE_SE3:QUAT 0 1 0 0 0 0 0 0 1 {identity6}\n",
+            -sin, -cos
+        );
+        let g2o = start(&text).g2o_chi2(G2oRotation::Angle);
+        assert!((g2o - sin * sin).abs() < 1e-12, "{g2o}");
+        assert!((start(&text).objective().chi2 - 0.36).abs() < 1e-12);
+    }
+}

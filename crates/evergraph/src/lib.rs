@@ -1,0 +1,103 @@
+//! **Evergraph** keeps the best estimate of a growing map current, in milliseconds: an incremental
+//! smoothing engine in the style of iSAM, for robots that map for years.
+//!
+//! This is the crate to depend on. It re-exports the rooms of the workspace:
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`model`] | keys, manifolds, noise, the [`Factor`] trait, the graph and the [`Change`]; units, frames and conventions |
+//! | [`factors`] | priors, odometry, landmarks, GPS, partial states, linear (GLC) factors |
+//! | [`solver`] | the [`Smoother`]: incremental updates, batch optimization, relinearization |
+//! | [`formats`] | g2o, TORO and iSAM files, and their replay |
+//! | [`simulate`] | worlds with known truth |
+//!
+//! # Embed it
+//!
+//! ```
+//! use evergraph::prelude::*;
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let mut smoother = Smoother::new(Settings::default())?;
+//! let noise = Noise::from_sigmas(&[0.05, 0.05, 0.01])?; // x y theta: m, m, rad
+//! let step = Pose2::new(1.0, 0.0, std::f64::consts::FRAC_PI_2); // drive 1 m, turn left
+//!
+//! let mut change = smoother.change();
+//! let mut poses = vec![change.add_variable(&Pose2::identity())];
+//! change.add_factor(Prior::new(poses[0], Pose2::identity(), noise.clone())?);
+//! smoother.apply(change)?;
+//!
+//! for k in 0..4 {
+//!     let mut change = smoother.change();
+//!     let guess = smoother.estimate(poses[k])?.compose(&Pose2::new(1.1, 0.0, 1.5)); // biased odometry
+//!     poses.push(change.add_variable(&guess));
+//!     change.add_factor(BetweenPose2::new(poses[k], poses[k + 1], step, noise.clone())?);
+//!     if k == 3 {
+//!         // Back at the start: a loop closure.
+//!         change.add_factor(BetweenPose2::new(poses[4], poses[0], Pose2::identity(), noise.clone())?);
+//!     }
+//!     smoother.apply(change)?;
+//! }
+//! smoother.relinearize_batch()?; // the start values were far off; the policy would come to it later
+//! let back = smoother.estimate(poses[4])?;
+//! assert!(back.x().abs() < 1e-6 && back.y().abs() < 1e-6);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! A change is applied whole or not at all: on `Err`, graph, estimate and factorization are bit
+//! for bit what they were. Results are the same bits on any number of threads.
+//!
+//! # Replay a file
+//!
+//! ```no_run
+//! use evergraph::prelude::*;
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let document = Document::read("manhattan.g2o", &ReadOptions::default())?;
+//! let mut replayer = Replayer::new(&document, &ReplayOptions::default(), Settings::default())?;
+//! while let Some(step) = replayer.step()? {
+//!     println!("{} {:?}", step.step.pose, step.update);
+//! }
+//! println!("error {}", replayer.error());
+//! # Ok(())
+//! # }
+//! ```
+#![forbid(unsafe_code)]
+#![deny(missing_docs)]
+
+pub mod conventions;
+mod overview;
+mod replayer;
+mod words;
+
+pub use evergraph_factors as factors;
+pub use evergraph_formats as formats;
+pub use evergraph_model as model;
+pub use evergraph_simulate as simulate;
+pub use evergraph_solver as solver;
+
+pub use conventions::Objective;
+pub use evergraph_model::{Change, Factor, Graph, Values};
+pub use evergraph_solver::{Report, Settings, Smoother, SmootherError};
+pub use overview::{Component, Overview, Start};
+pub use replayer::{Replayed, Replayer, ReplayerError};
+
+/// What most programs need, in one line.
+pub mod prelude {
+    pub use crate::replayer::{Replayed, Replayer};
+    pub use evergraph_factors::{BetweenPose2, BetweenPose3, Prior};
+    pub use evergraph_formats::{Document, ReadOptions, ReplayOptions};
+    pub use evergraph_model::{
+        Change, Factor, Graph, Key, LieGroup, Manifold, Noise, Point2, Point3, Pose2, Pose3,
+        Robust, Rot2, Rot3, Value, Values, VariableId, VectorN,
+    };
+    pub use evergraph_solver::{
+        BatchReport, BatchSettings, Elimination, Method, Relinearization, Report, Settings,
+        Smoother, SmootherError, Status,
+    };
+}
+
+/// Compiles the examples of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../../../README.md")]
+struct Readme;

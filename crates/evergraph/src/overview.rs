@@ -1,0 +1,172 @@
+//! What a file holds as a graph, and what it costs as it stands.
+
+use std::collections::{BTreeMap, HashMap};
+
+use evergraph_formats::{Document, G2oRotation, Initial, Record, Replay, ReplayOptions};
+use evergraph_model::Graph;
+use evergraph_solver::SmootherError;
+
+use crate::conventions::{self, Objective};
+use crate::replayer::ReplayerError;
+
+/// What a file holds, as a graph.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Overview {
+    /// Lines of each kind, in words.
+    pub records: BTreeMap<String, usize>,
+    /// Connected components, by their lowest id.
+    pub components: Vec<Component>,
+    /// Lowest and highest id of a pose.
+    pub pose_ids: Option<(u64, u64)>,
+    /// Lowest and highest id of a landmark.
+    pub landmark_ids: Option<(u64, u64)>,
+    /// Pairs of variables that more than one edge joins, in whichever direction.
+    pub repeated_pairs: usize,
+    /// Edges beyond the first of their pair.
+    pub repeated_edges: usize,
+    /// The component of each variable, by id and whether it is a pose.
+    members: HashMap<(u64, bool), usize>,
+}
+
+/// A part of a graph that no edge ties to the rest.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Component {
+    /// Its lowest id, of a pose if it has one.
+    pub first: u64,
+    /// Poses in it.
+    pub poses: usize,
+    /// Landmarks in it.
+    pub landmarks: usize,
+}
+
+impl Overview {
+    /// Looks a document over.
+    pub fn of(document: &Document) -> Self {
+        let ids = document.ids();
+        let places: HashMap<(u64, bool), usize> =
+            ids.iter().enumerate().map(|(at, (id, kind))| ((*id, kind.is_pose()), at)).collect();
+        let mut overview = Self::default();
+        let mut parent: Vec<usize> = (0..ids.len()).collect();
+        let mut pairs: HashMap<(usize, usize), usize> = HashMap::new();
+        for record in document.records() {
+            *overview.records.entry(name(record)).or_default() += 1;
+            let Record::Edge { from, to, measurement, .. } = record else { continue };
+            let ends =
+                (places.get(&(*from, true)), places.get(&(*to, measurement.kind().is_pose())));
+            let (Some(&a), Some(&b)) = ends else { continue };
+            *pairs.entry((a.min(b), a.max(b))).or_default() += 1;
+            let (a, b) = (root(&mut parent, a), root(&mut parent, b));
+            parent[a.max(b)] = a.min(b);
+        }
+        overview.repeated_pairs = pairs.values().filter(|&&edges| edges > 1).count();
+        overview.repeated_edges = pairs.values().map(|edges| edges - 1).sum();
+
+        let mut of_root: HashMap<usize, usize> = HashMap::new();
+        for (at, (id, kind)) in ids.iter().enumerate() {
+            let index = *of_root.entry(root(&mut parent, at)).or_insert_with(|| {
+                overview.components.push(Component { first: *id, poses: 0, landmarks: 0 });
+                overview.components.len() - 1
+            });
+            overview.members.insert((*id, kind.is_pose()), index);
+            let component = &mut overview.components[index];
+            let (count, range) = if kind.is_pose() {
+                (&mut component.poses, &mut overview.pose_ids)
+            } else {
+                (&mut component.landmarks, &mut overview.landmark_ids)
+            };
+            *count += 1;
+            let (low, high) = range.unwrap_or((*id, *id));
+            *range = Some((low.min(*id), high.max(*id)));
+        }
+        overview
+    }
+
+    /// The component that a pose is part of.
+    pub fn component_of_pose(&self, id: u64) -> Option<&Component> {
+        self.components.get(*self.members.get(&(id, true))?)
+    }
+}
+
+fn name(record: &Record) -> String {
+    match record {
+        Record::Vertex { at, .. } => format!("{} vertices", at.kind().name()),
+        Record::Edge { measurement, .. } if measurement.kind().is_pose() => {
+            format!("edges to a {}", measurement.kind().name())
+        }
+        Record::Edge { measurement, .. } => format!("sightings of a {}", measurement.kind().name()),
+        Record::Fix { .. } => "fixed poses".into(),
+        Record::SensorOffset { .. } => "sensor offsets".into(),
+    }
+}
+
+fn root(parent: &mut [usize], mut node: usize) -> usize {
+    while parent[node] != node {
+        parent[node] = parent[parent[node]];
+        node = parent[node];
+    }
+    node
+}
+
+/// The graph of a document at its start values, not solved and without gauge priors.
+#[derive(Debug)]
+pub struct Start {
+    graph: Graph,
+    points: Vec<f64>,
+}
+
+impl Start {
+    /// Sets the graph up at the start values that `initial` says.
+    ///
+    /// # Errors
+    /// [`ReplayerError::Format`] when the document is no graph.
+    pub fn of(document: &Document, initial: Initial) -> Result<Self, ReplayerError> {
+        let options = ReplayOptions { prior: None, initial, kernel: None };
+        let mut replay = Replay::new(document, &options)?;
+        let mut graph = Graph::new();
+        let mut change = graph.change();
+        replay.everything(&mut change)?;
+        let staged = graph.stage(&change).map_err(SmootherError::from)?;
+        graph.commit(staged);
+        let mut points = vec![0.0; graph.value_len()];
+        for (variable, value) in change.new_variables() {
+            points[graph.value_range(variable.index())].copy_from_slice(value.storage());
+        }
+        Ok(Self { graph, points })
+    }
+
+    /// Error and chi2 in this library's convention.
+    pub fn objective(&self) -> Objective {
+        Objective::at(&self.graph, &self.points, |_| true)
+    }
+
+    /// chi2 in g2o's convention; `rotation` as the document was read.
+    pub fn g2o_chi2(&self, rotation: G2oRotation) -> f64 {
+        conventions::g2o_chi2(&self.graph, &self.points, rotation)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use evergraph_formats::ReadOptions;
+
+    use super::*;
+
+    #[test]
+    fn components_and_repeated_pairs_are_counted() {
+        let i = "1 0 0 1 0 1";
+        let text = format!(
+            "EDGE_SE2 5 6 1 0 0 {i}\nEDGE_SE2 6 5 -1 0 0 {i}\nEDGE_SE2 8 9 1 0 0 {i}\n\
+             EDGE_SE2_XY 9 20 1 1 1 0 1\n"
+        );
+        let document = Document::parse("test", text.as_bytes(), &ReadOptions::default()).unwrap();
+        let overview = Overview::of(&document);
+        let expected = [
+            Component { first: 5, poses: 2, landmarks: 0 },
+            Component { first: 8, poses: 2, landmarks: 1 },
+        ];
+        assert_eq!(overview.components, expected);
+        assert_eq!((overview.repeated_pairs, overview.repeated_edges), (1, 1));
+        assert_eq!((overview.pose_ids, overview.landmark_ids), (Some((5, 9)), Some((20, 20))));
+        assert_eq!(overview.records["edges to a 2D pose"], 3);
+    }
+}

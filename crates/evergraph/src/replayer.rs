@@ -1,0 +1,282 @@
+//! A file driven through a smoother, step by step, as the robot that recorded it would have.
+
+use std::collections::{HashMap, HashSet};
+use std::time::{Duration, Instant};
+
+use evergraph_formats::{Document, FormatError, Record, Replay, ReplayOptions, Step};
+use evergraph_model::{FactorId, Graph, Value, VariableId};
+use evergraph_solver::{
+    BatchSettings, Method, Reason, Report, Settings, Smoother, SmootherError, Status,
+};
+use thiserror::Error;
+
+use crate::conventions::Objective;
+use crate::words;
+
+/// Why a replay stopped.
+#[derive(Debug, Error)]
+pub enum ReplayerError {
+    /// The file does not make sense as a graph.
+    #[error(transparent)]
+    Format(#[from] FormatError),
+    /// The smoother refused a step.
+    #[error("{file}, at pose {pose}: {message}")]
+    Step {
+        /// The file.
+        file: String,
+        /// The file's id of the newest pose of the step.
+        pose: u64,
+        /// Why, with variables by their ids in the file.
+        message: String,
+        /// Why; boxed, so that results are small where all goes well.
+        source: Box<SmootherError>,
+    },
+    /// The smoother could not be made.
+    #[error(transparent)]
+    Smoother(#[from] SmootherError),
+}
+
+/// One step of a replay.
+#[derive(Clone, Debug)]
+pub struct Replayed {
+    /// What came in.
+    pub step: Step,
+    /// What the smoother did.
+    pub report: Report,
+    /// Time for the update and the newest pose's estimate, without making the change.
+    pub update: Duration,
+}
+
+/// Replays a document: each step is one change, its new poses start from the current estimate.
+#[derive(Debug)]
+pub struct Replayer {
+    name: String,
+    replay: Replay,
+    smoother: Smoother,
+    full_estimate: bool,
+}
+
+impl Replayer {
+    /// Prepares a replay.
+    ///
+    /// # Errors
+    /// [`ReplayerError::Format`] when the document is no graph, [`ReplayerError::Smoother`] when
+    /// the settings cannot be.
+    pub fn new(
+        document: &Document,
+        options: &ReplayOptions,
+        settings: Settings,
+    ) -> Result<Self, ReplayerError> {
+        Ok(Self {
+            name: document.name().to_string(),
+            replay: Replay::new(document, options)?,
+            smoother: Smoother::new(settings)?,
+            full_estimate: false,
+        })
+    }
+
+    /// Asks for all estimates after every step, as a program does that needs the whole map each
+    /// time; counted in [`Replayed::update`].
+    #[must_use]
+    pub fn with_full_estimate(mut self, full: bool) -> Self {
+        self.full_estimate = full;
+        self
+    }
+
+    /// Applies the next step; `None` at the end.
+    ///
+    /// # Errors
+    /// [`ReplayerError`]; the smoother is then as it was before the step.
+    pub fn step(&mut self) -> Result<Option<Replayed>, ReplayerError> {
+        let mut change = self.smoother.change();
+        let smoother = &self.smoother;
+        let mut estimate = |variable| smoother.estimate_value(variable).ok();
+        let Some(step) = self.replay.next_step(&mut change, &mut estimate) else {
+            return Ok(None);
+        };
+        let step = step?;
+        let start = Instant::now();
+        let report = self.smoother.apply(change).map_err(|source| self.at(step.pose, source))?;
+        let newest =
+            self.smoother.estimate_value(step.pose).map_err(|source| self.at(step.pose, source))?;
+        std::hint::black_box(newest);
+        if self.full_estimate {
+            std::hint::black_box(self.smoother.estimates());
+        }
+        let update = start.elapsed();
+        Ok(Some(Replayed { step, report, update }))
+    }
+
+    /// Applies all that is left as a single change: the start of a batch optimization.
+    ///
+    /// # Errors
+    /// [`ReplayerError`]; the smoother is then as it was before.
+    pub fn everything(&mut self) -> Result<Replayed, ReplayerError> {
+        let mut change = self.smoother.change();
+        let step = self.replay.everything(&mut change)?;
+        let start = Instant::now();
+        let report = self.smoother.apply(change).map_err(|source| self.at(step.pose, source))?;
+        Ok(Replayed { step, report, update: start.elapsed() })
+    }
+
+    /// The objective over the file's factors, at the estimate: gauge priors are left out.
+    pub fn error(&self) -> f64 {
+        let priors = self.priors();
+        self.smoother.error_of(|factor| !priors.contains(&factor))
+    }
+
+    /// The objective of the gauge priors alone.
+    pub fn gauge_error(&self) -> f64 {
+        let priors = self.priors();
+        self.smoother.error_of(|factor| priors.contains(&factor))
+    }
+
+    /// Error and chi2 over the file's factors, at the estimate.
+    pub fn objective(&self) -> Objective {
+        let estimates = self.smoother.estimates();
+        self.objective_at(estimates.iter().map(|(variable, value)| (variable, value.to_value())))
+    }
+
+    /// Error and chi2 over the file's factors, at the linearization points: right after
+    /// [`everything`](Self::everything) without relinearization, at the start values.
+    pub fn objective_at_linearization(&self) -> Objective {
+        let point = |variable| Some((variable, self.smoother.linearization_point(variable).ok()?));
+        self.objective_at(self.graph().variables().filter_map(point))
+    }
+
+    fn objective_at(&self, values: impl Iterator<Item = (VariableId, Value)>) -> Objective {
+        let mut points = vec![0.0; self.graph().value_len()];
+        for (variable, value) in values {
+            points[self.graph().value_range(variable.index())].copy_from_slice(value.storage());
+        }
+        let priors = self.priors();
+        Objective::at(self.graph(), &points, |factor| !priors.contains(&factor))
+    }
+
+    fn priors(&self) -> HashSet<FactorId> {
+        self.replay.gauge_priors().iter().map(|prior| prior.factor).collect()
+    }
+
+    /// Poses that have come in.
+    pub fn poses(&self) -> usize {
+        self.replay.ids().filter(|(id, variable)| self.replay.pose(*id) == Some(*variable)).count()
+    }
+
+    /// Whether the estimate is at an optimum as far as `tolerance` tells: a Gauss-Newton step from
+    /// it, everything relinearized, lowers the error by no more than this share of it (or by less
+    /// than 1e-6, which no measurement can tell). Works on a copy and costs a batch step.
+    ///
+    /// An estimate of a graph that relinearizes where it must is solved exactly for its
+    /// linearization points, which may lag behind; this says whether that matters.
+    ///
+    /// # Errors
+    /// [`SmootherError`] when the relinearized system cannot be solved.
+    pub fn is_settled(&self, tolerance: f64) -> Result<bool, SmootherError> {
+        const NEGLIGIBLE: f64 = 1e-6;
+        let mut copy = self.smoother.clone();
+        let before = copy.error();
+        let step = BatchSettings {
+            method: Method::GaussNewton,
+            max_iterations: 1,
+            ..BatchSettings::default()
+        };
+        let after = copy.optimize(&step)?;
+        // A Gauss-Newton step that would raise the error proves nothing.
+        if after.status == Status::NotConverged(Reason::ErrorWouldRise) {
+            return Ok(false);
+        }
+        Ok(before - after.error <= tolerance * before + NEGLIGIBLE)
+    }
+
+    /// What an error of the smoother says, with variables by their ids in the file.
+    pub fn explain(&self, error: &SmootherError) -> String {
+        let ids: HashMap<VariableId, u64> =
+            self.replay.ids().map(|(id, variable)| (variable, id)).collect();
+        words::explain(error, &|variable| ids.get(&variable).copied())
+    }
+
+    /// The file's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// What has come in so far.
+    pub fn replay(&self) -> &Replay {
+        &self.replay
+    }
+
+    /// The smoother.
+    pub fn smoother(&self) -> &Smoother {
+        &self.smoother
+    }
+
+    /// The smoother, to optimize or to go on with.
+    pub fn smoother_mut(&mut self) -> &mut Smoother {
+        &mut self.smoother
+    }
+
+    /// The smoother, without the file that filled it.
+    pub fn into_smoother(self) -> Smoother {
+        self.smoother
+    }
+
+    /// The graph.
+    pub fn graph(&self) -> &Graph {
+        self.smoother.graph()
+    }
+
+    /// The document with the estimates as its vertices; of a replay that was not finished, the part
+    /// that has come in.
+    ///
+    /// # Errors
+    /// [`ReplayerError::Format`] when it is not the document that is replayed.
+    pub fn solution(&self, document: &Document) -> Result<Document, ReplayerError> {
+        let estimates = self.smoother.estimates();
+        let vertices = self
+            .replay
+            .ids()
+            .filter_map(|(id, variable)| Some((id, estimates.value(variable).ok()?.to_value())));
+        let summary = document.summary();
+        let whole = self.replay.factors().len() == summary.pose_edges + summary.landmark_edges
+            && self.poses() == summary.poses;
+        let solution = if whole {
+            document.with_vertices(vertices)?
+        } else {
+            // A pose that has come in before all of its edges is in no record of an edge-only file.
+            let part = self.part(document)?;
+            part.with_vertices(vertices.filter(|(id, _)| part.kind(*id).is_some()))?
+        };
+        Ok(solution)
+    }
+
+    /// The records of what has come in.
+    fn part(&self, document: &Document) -> Result<Document, FormatError> {
+        let lines: HashSet<usize> = self.replay.factors().iter().map(|(_, line)| *line).collect();
+        let is_in = |id, is_pose| {
+            let found = if is_pose { self.replay.pose(id) } else { self.replay.landmark(id) };
+            found.is_some()
+        };
+        let records = document.lines().iter().filter(|(line, record)| match record {
+            Record::Vertex { id, at } => is_in(*id, at.kind().is_pose()),
+            Record::Edge { .. } => lines.contains(line),
+            Record::Fix { id } => is_in(*id, true),
+            Record::SensorOffset { .. } => true,
+        });
+        let records = records.map(|(_, record)| record.clone()).collect();
+        Document::from_records(document.name(), document.dialect(), records)
+    }
+
+    fn at(&self, pose: VariableId, source: SmootherError) -> ReplayerError {
+        let id = self
+            .replay
+            .ids()
+            .find(|(_, variable)| *variable == pose)
+            .map_or(u64::MAX, |(id, _)| id);
+        ReplayerError::Step {
+            file: self.name.clone(),
+            pose: id,
+            message: self.explain(&source),
+            source: Box::new(source),
+        }
+    }
+}

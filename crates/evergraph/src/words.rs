@@ -1,0 +1,63 @@
+//! Errors of the smoother in the words of a file: its ids instead of the graph's.
+
+use evergraph_model::VariableId;
+use evergraph_solver::{Singular, SmootherError};
+
+/// How many variables a message lists.
+const SHOWN: usize = 5;
+
+/// The error as a paragraph; `id` gives a variable's id in the file.
+pub(crate) fn explain(error: &SmootherError, id: &dyn Fn(VariableId) -> Option<u64>) -> String {
+    let name = |variable: VariableId| {
+        id(variable).map_or_else(|| variable.to_string(), |id| id.to_string())
+    };
+    match error {
+        SmootherError::Singular(Singular::Component { examples, count, free }) => {
+            let names: Vec<String> = examples.iter().map(|v| name(*v)).collect();
+            let (variables, directions) = (plural(*count, "variable"), plural(*free, "direction"));
+            format!(
+                "the connected component of {} ({variables}) can move as a whole in {directions}: nothing \
+                 says where it is. Give one of its variables a prior, GPS or another absolute measurement",
+                names.join(", ")
+            )
+        }
+        SmootherError::Singular(Singular::Variables { variables }) => {
+            let mut list: Vec<String> = variables
+                .iter()
+                .take(SHOWN)
+                .map(|v| {
+                    let (free, dim) = (v.free, v.dim);
+                    let components = v.components.join(", ");
+                    format!(
+                        "{}: {free} of {dim} directions unconstrained: {components}",
+                        name(v.variable)
+                    )
+                })
+                .collect();
+            if variables.len() > SHOWN {
+                list.push(format!("and {} more", variables.len() - SHOWN));
+            }
+            format!(
+                "the problem is underdetermined: {}. Add measurements or priors that determine them",
+                list.join("; ")
+            )
+        }
+        SmootherError::NonFinite { name: factor, variables, .. } => {
+            let names: Vec<String> = variables.iter().map(|v| name(*v)).collect();
+            format!(
+                "the {factor} between {} has a residual or Jacobian that is not finite where it was \
+                 linearized; check its measurement, its weights and the start values",
+                names.join(" and ")
+            )
+        }
+        SmootherError::Overflow { variable } => format!(
+            "the solution for {} is not finite: measurements or weights are too large for 64-bit numbers",
+            name(*variable)
+        ),
+        other => other.to_string(),
+    }
+}
+
+fn plural(count: usize, what: &str) -> String {
+    if count == 1 { format!("{count} {what}") } else { format!("{count} {what}s") }
+}
