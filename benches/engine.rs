@@ -88,14 +88,18 @@ fn loop_closure(c: &mut Criterion) {
 fn replays(c: &mut Criterion) {
     let mut group = c.benchmark_group("replay");
     group.sample_size(10);
-    for (name, document, poses) in [("city 2000", city(2000), 2000), ("sphere 500", sphere(500), 500)] {
+    for (name, document, poses) in
+        [("city 2000", city(2000), 2000), ("sphere 500", sphere(500), 500)]
+    {
         group.bench_function(name, |b| b.iter(|| replayed(&document, Settings::default(), poses)));
         let base = replayed(&document, Settings::default(), poses).into_smoother();
         group.bench_function(format!("{name}, batch at the end"), |b| {
             b.iter_batched(
                 || base.clone(),
                 |mut smoother| {
-                    smoother.optimize(&BatchSettings::default()).expect("the map is well determined");
+                    smoother
+                        .optimize(&BatchSettings::default())
+                        .expect("the map is well determined");
                     smoother
                 },
                 BatchSize::LargeInput,

@@ -26,8 +26,8 @@ pub fn sphere(poses: u32) -> Document {
 /// # Panics
 /// When a step fails, which it does not for simulated worlds.
 pub fn replayed(document: &Document, settings: Settings, steps: usize) -> Replayer {
-    let mut replayer =
-        Replayer::new(document, &ReplayOptions::default(), settings).expect("simulated worlds are graphs");
+    let mut replayer = Replayer::new(document, &ReplayOptions::default(), settings)
+        .expect("simulated worlds are graphs");
     for _ in 0..steps {
         if replayer.step().expect("simulated worlds are well determined").is_none() {
             break;

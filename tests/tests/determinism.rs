@@ -1,4 +1,5 @@
 //! The same bits on any number of threads: estimates, linearization points and every entry of R.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::num::NonZeroU32;
 

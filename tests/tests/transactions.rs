@@ -99,7 +99,7 @@ fn a_variable_without_factors_is_named_with_its_free_directions() {
 
 #[test]
 fn a_half_measured_variable_names_what_is_missing() {
-    let (mut smoother, poses) = chain();
+    let (mut smoother, _) = chain();
     let mut change = smoother.change();
     let pose = change.add_variable(&Pose2::new(3.0, 1.0, 0.0));
     // A position says nothing about the heading.
