@@ -11,8 +11,8 @@ use faer::sparse::{SparseColMat, Triplet};
 /// With `H = JᵀJ`, and `J` from the smoother's linearization points:
 ///
 /// - `|RᵀR − H|ᵢⱼ ≤ 1e-10 √(Hᵢᵢ Hⱼⱼ)`,
-/// - `|Jᵀ(Jδ + r)|∞ ≤ 1e-10 (|H| |δ| + |Jᵀr|)∞`, or what evaluating `Jᵀr` rounds away,
-///   `10 ε (|J|ᵀ|r|)∞`,
+/// - `|Jᵀ(Jδ + r)|∞ ≤ 1e-10 (|H| |δ| + |Jᵀr|)∞`, or what an orthogonal factorization rounds away,
+///   `10 ε maxⱼ‖Jⱼ‖ ‖r‖` (it is stable by norms, not by entries),
 /// - δ agrees with faer's sparse QR of `J` within `max(1e-9, 10 ε cond)` relative, or, where δ is
 ///   next to nothing beside the residual that it comes from, within `10 ε cond ‖r‖`. Components are
 ///   measured in units of `1/√Hᵢᵢ`, and `cond` is the condition number of H so scaled.
@@ -66,7 +66,8 @@ fn check_gradient(jacobian: &Sparse, system: &LinearSystem, at: &str) {
     for (s, g) in scale.iter_mut().zip(jacobian.transpose_times(&system.residual)) {
         *s += g.abs();
     }
-    let rounding = 10.0 * f64::EPSILON * max(&jacobian.absolute_transpose_times(&system.residual));
+    let rounding =
+        10.0 * f64::EPSILON * max(&jacobian.column_norms_squared()).sqrt() * norm(&system.residual);
     let bound = (1e-10 * max(&scale)).max(rounding);
     assert!(left <= bound, "{at}: gradient {left} at the solution, allowed {bound}");
 }
@@ -84,7 +85,7 @@ fn check_solution(jacobian: &Sparse, factor: &Sparse, system: &LinearSystem, at:
         size = size.max(h.sqrt() * fresh[i].abs());
     }
     let rounding = 10.0 * f64::EPSILON * condition(jacobian, factor);
-    let residual = system.residual.iter().map(|r| r * r).sum::<f64>().sqrt();
+    let residual = norm(&system.residual);
     assert!(
         off <= rounding.max(1e-9) * size || off <= rounding * residual,
         "{at}: δ is off by {off} of {size}, residual {residual}, rounding {rounding}"
@@ -98,10 +99,10 @@ fn condition(jacobian: &Sparse, factor: &Sparse) -> f64 {
     let largest_eigenvalue = |apply: &dyn Fn(&[f64]) -> Vec<f64>| {
         let (mut x, mut value) = (start.clone(), 0.0);
         for _ in 0..15 {
-            let norm = x.iter().map(|x| x * x).sum::<f64>().sqrt();
-            x.iter_mut().for_each(|x| *x /= norm);
+            let length = norm(&x);
+            x.iter_mut().for_each(|x| *x /= length);
             x = apply(&x);
-            value = x.iter().map(|x| x * x).sum::<f64>().sqrt();
+            value = norm(&x);
         }
         value
     };
@@ -113,6 +114,10 @@ fn condition(jacobian: &Sparse, factor: &Sparse) -> f64 {
         multiplied(&factor.solve(&factor.solve_transposed(&multiplied(x))))
     });
     largest * inverse
+}
+
+fn norm(x: &[f64]) -> f64 {
+    x.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
 fn max(x: &[f64]) -> f64 {
@@ -144,17 +149,6 @@ impl Sparse {
         for (row, y) in self.rows.iter().zip(y) {
             for &(j, a) in row {
                 out[j] += a * y;
-            }
-        }
-        out
-    }
-
-    /// `|J|ᵀ |y|`.
-    fn absolute_transpose_times(&self, y: &[f64]) -> Vec<f64> {
-        let mut out = vec![0.0; self.columns];
-        for (row, y) in self.rows.iter().zip(y) {
-            for &(j, a) in row {
-                out[j] += (a * y).abs();
             }
         }
         out

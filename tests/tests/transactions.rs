@@ -5,7 +5,7 @@
 use evergraph::factors::{BetweenPose2, GpsPosition2, RelativePosition2};
 use evergraph::model::{Arguments, GraphError, Linearization, VariableType};
 use evergraph::prelude::*;
-use evergraph::solver::Singular;
+use evergraph::solver::{Fluid, Singular};
 use evergraph_tests::check_against_batch;
 
 fn noise(sigma: f64) -> Noise {
@@ -301,4 +301,88 @@ fn smoothers_move_between_threads() {
     send(&smoother);
     let moved = std::thread::spawn(move || smoother.estimate(poses[9]).unwrap());
     assert!(moved.join().unwrap().x() > 8.0);
+}
+
+#[test]
+fn a_refused_change_with_an_empty_variable_leaves_nothing_behind() {
+    // Empty ranges used to be given back twice, so that the next one lay outside of the array.
+    let (mut smoother, _) = chain();
+    let mut change = smoother.change();
+    change.add_variable(&Pose2::identity());
+    change.add_variable(&VectorN::zeros(0));
+    refused(&mut smoother, change);
+    let mut change = smoother.change();
+    let empty = change.add_variable(&VectorN::zeros(0));
+    smoother.apply(change).unwrap();
+    assert!(smoother.estimate(empty).unwrap().is_empty());
+    let mut change = smoother.change();
+    change.drop_variable(empty);
+    smoother.apply(change).unwrap();
+    check_against_batch(&smoother, "after an empty variable");
+}
+
+#[test]
+fn keys_of_a_clone_are_checked() {
+    // Two clones mint the same ids for different things.
+    let (mut smoother, _) = chain();
+    let mut clone = smoother.clone();
+    let mut change = smoother.change();
+    let pose = change.add_variable(&Pose2::identity());
+    change.add_factor(Prior::new(pose, Pose2::identity(), noise(0.1)).unwrap());
+    smoother.apply(change).unwrap();
+    let mut change = clone.change();
+    let point = change.add_variable(&Point2::new(0.0, 0.0));
+    let at = Prior::new(point, Point2::new(0.0, 0.0), Noise::isotropic(2, 0.1).unwrap());
+    change.add_factor(at.unwrap());
+    clone.apply(change).unwrap();
+    let error = clone.estimate(pose).unwrap_err();
+    assert!(matches!(error, SmootherError::Graph(GraphError::WrongType { .. })), "{error}");
+}
+
+#[test]
+fn memory_follows_the_living_in_large_changes_too() {
+    let mut smoother = Smoother::new(Settings::default()).unwrap();
+    let mut window: Vec<Key<Point2>> = Vec::new();
+    for _ in 0..300 {
+        let mut change = smoother.change();
+        for &old in &window {
+            change.drop_variable_and_factors(smoother.graph(), old).unwrap();
+        }
+        window = (0..50).map(|_| change.add_variable(&Point2::new(0.0, 0.0))).collect();
+        for &point in &window {
+            let at = Prior::new(point, Point2::new(1.0, 0.0), Noise::isotropic(2, 0.1).unwrap());
+            change.add_factor(at.unwrap());
+        }
+        smoother.apply(change).unwrap();
+    }
+    let slots = (smoother.graph().variable_slots(), smoother.graph().factor_slots());
+    assert!(slots.0 <= 400 && slots.1 <= 400, "50 living things in {slots:?} slots");
+}
+
+#[test]
+fn a_fine_sweep_sees_what_a_coarse_check_left() {
+    let every = |n| std::num::NonZeroU32::new(n).unwrap();
+    let relinearization = Relinearization {
+        fluid: Some(Fluid { threshold: 0.05, every: every(1) }),
+        sweep: Some(Fluid { threshold: 1e-6, every: every(5) }),
+        batch: None,
+    };
+    let mut smoother = Smoother::new(Settings { relinearization, ..Settings::default() }).unwrap();
+    let mut change = smoother.change();
+    let pose = change.add_variable(&Pose2::identity());
+    change.add_factor(Prior::new(pose, Pose2::new(5e-4, 0.0, 0.0), noise(0.1)).unwrap());
+    smoother.apply(change).unwrap();
+    let relinearized: usize =
+        (0..4).map(|_| smoother.apply(smoother.change()).unwrap().variables_relinearized).sum();
+    assert_eq!(relinearized, 1);
+}
+
+#[test]
+fn no_iterations_is_no_step() {
+    let (mut smoother, _) = chain();
+    for method in [Method::GaussNewton, Method::LevenbergMarquardt, Method::Dogleg] {
+        let settings = BatchSettings { method, max_iterations: 0, ..BatchSettings::default() };
+        let report = smoother.optimize(&settings).unwrap();
+        assert_eq!((report.iterations, report.error), (0, report.initial_error));
+    }
 }

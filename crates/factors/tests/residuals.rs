@@ -193,6 +193,8 @@ fn under_a_kernel_the_gradient_is_that_of_the_loss() {
             assert_jacobian(&inner, &values(&i, &j));
             let robust = Robust::new(inner.clone(), kernel);
             check_gradient(&robust, &values(&i, &j)).unwrap();
+            let twice = Robust::new(robust.clone(), Kernel::huber(0.4).unwrap());
+            check_gradient(&twice, &values(&i, &j)).unwrap();
             assert_eq!(residual(&robust, &values(&i, &j)), residual(&inner, &values(&i, &j)));
             assert!(
                 robust.error(&residual(&inner, &values(&i, &j)))

@@ -1,5 +1,6 @@
 //! The one way to alter a graph.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use crate::factor::Factor;
@@ -22,6 +23,8 @@ pub struct Change {
     pub(crate) new_variables: Vec<(VariableId, Value)>,
     pub(crate) new_factors: Vec<(FactorId, Arc<dyn Factor>)>,
     pub(crate) drop_factors: Vec<FactorId>,
+    /// `drop_factors` as a set, to look things up.
+    dropped: BTreeSet<FactorId>,
     pub(crate) drop_variables: Vec<VariableId>,
     pub(crate) moves: Vec<(VariableId, Value)>,
     pub(crate) requires: Vec<(VariableId, Version)>,
@@ -36,6 +39,7 @@ impl Change {
             new_variables: Vec::new(),
             new_factors: Vec::new(),
             drop_factors: Vec::new(),
+            dropped: BTreeSet::new(),
             drop_variables: Vec::new(),
             moves: Vec::new(),
             requires: Vec::new(),
@@ -84,6 +88,7 @@ impl Change {
 
     /// Takes a factor out of the graph, its information with it.
     pub fn drop_factor(&mut self, factor: FactorId) -> &mut Self {
+        self.dropped.insert(factor);
         self.drop_factors.push(factor);
         self
     }
@@ -98,7 +103,7 @@ impl Change {
     /// other variables*, is lost. To keep it, plan a removal instead.
     ///
     /// # Errors
-    /// [`GraphError::UnknownVariable`].
+    /// [`GraphError::UnknownVariable`], [`GraphError::Foreign`].
     pub fn drop_variable_and_factors(
         &mut self,
         graph: &Graph,
@@ -106,7 +111,7 @@ impl Change {
     ) -> Result<&mut Self, GraphError> {
         let variable = variable.into();
         for factor in graph.factors_of(variable)? {
-            if !self.drop_factors.contains(&factor) {
+            if self.dropped.insert(factor) {
                 self.drop_factors.push(factor);
             }
         }

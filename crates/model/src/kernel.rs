@@ -3,6 +3,7 @@
 use std::any::Any;
 
 use serde::{Deserialize, Serialize};
+use smallvec::SmallVec;
 use thiserror::Error;
 
 use crate::arguments::{Arguments, Linearization};
@@ -91,6 +92,7 @@ impl Kernel {
                 k * squared_norm.sqrt() - 0.5 * k * k
             }
             Self::Huber { .. } => 0.5 * squared_norm,
+            Self::PseudoHuber { .. } if squared_norm.is_infinite() => f64::INFINITY,
             // √(1 + u) - 1 = u / (1 + √(1 + u)), which does not cancel for small u.
             Self::PseudoHuber { threshold: k } => {
                 squared_norm / (1.0 + (1.0 + squared_norm / (k * k)).sqrt())
@@ -110,7 +112,8 @@ impl Kernel {
 
 /// A factor under a robust kernel.
 ///
-/// The residual is the inner factor's; the error is `ρ(‖r‖²)`; the linearization has all of its
+/// The residual is the inner factor's; the error is `ρ(‖r‖²)` (of an inner factor with a loss of its
+/// own, `ρ` of twice that); the linearization has all of its
 /// rows, the residual's entries with them, scaled by the square root of the weight at that point
 /// (iteratively reweighted least squares), so that its gradient is that of the error.
 #[derive(Clone, Debug)]
@@ -158,16 +161,18 @@ impl<F: Factor> Factor for Robust<F> {
     }
 
     fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
+        // The inner factor may be robust itself, so its loss counts and not the residual it writes.
+        let mut residual: SmallVec<[f64; 8]> = SmallVec::from_elem(0.0, self.residual_dim());
+        self.inner.residual(at, &mut residual);
         self.inner.linearize(at, out);
-        let squared_norm = out.residual_mut().iter().map(|r| r * r).sum();
-        let scale = self.kernel.weight(squared_norm).sqrt();
+        let scale = self.kernel.weight(2.0 * self.inner.error(&residual)).sqrt();
         if scale < 1.0 {
             out.data_mut().iter_mut().for_each(|entry| *entry *= scale);
         }
     }
 
     fn error(&self, residual: &[f64]) -> f64 {
-        self.kernel.rho(residual.iter().map(|r| r * r).sum())
+        self.kernel.rho(2.0 * self.inner.error(residual))
     }
 
     fn as_any(&self) -> &dyn Any {

@@ -1,5 +1,7 @@
 //! Generational slots whose next ids can be planned by reading only.
 
+use std::hash::{Hash, Hasher};
+
 use smallvec::SmallVec;
 
 /// Places for objects. A freed place is used again under the next generation, so memory follows
@@ -17,13 +19,18 @@ struct Entry<T> {
 }
 
 /// How many freed slots one change can take up again; what it needs beyond that it gets from the
-/// end. Bounds the cost of planning.
-const REUSED_PER_CHANGE: usize = 16;
+/// end. A share of what is free, so that the array settles at a few times the need whatever the
+/// size of the changes, and bounded, so that planning stays cheap.
+fn reusable(free: usize) -> usize {
+    (free / 4).clamp(FEW, 4096)
+}
+
+const FEW: usize = 16;
 
 /// The ids that the next insertions will get, so that a change can name what it is about to add.
 #[derive(Clone, Debug)]
 pub(crate) struct SlotPlan {
-    reused: SmallVec<[(u32, u32); REUSED_PER_CHANGE]>,
+    reused: SmallVec<[(u32, u32); FEW]>,
     fresh: u32,
     taken: u32,
 }
@@ -49,7 +56,7 @@ impl<T> Default for Slots<T> {
 
 impl<T> Slots<T> {
     pub(crate) fn plan(&self) -> SlotPlan {
-        let reused = self.free.iter().rev().take(REUSED_PER_CHANGE);
+        let reused = self.free.iter().rev().take(reusable(self.free.len()));
         SlotPlan {
             reused: reused.map(|&i| (i, self.entries[i as usize].generation)).collect(),
             fresh: self.entries.len() as u32,
@@ -124,6 +131,14 @@ impl<T> Slots<T> {
     /// Length of the slot array, living or not.
     pub(crate) fn capacity(&self) -> usize {
         self.entries.len()
+    }
+
+    /// Feeds generations and free slots, which decide the ids to come, to a hash.
+    pub(crate) fn hash_state(&self, hash: &mut impl Hasher) {
+        self.free.hash(hash);
+        for entry in &self.entries {
+            (entry.generation, entry.object.is_some()).hash(hash);
+        }
     }
 
     /// Indices of living objects, ascending.

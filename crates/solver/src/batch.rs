@@ -143,7 +143,8 @@ impl Smoother {
             solution: self.solution.clone(),
         };
         let result = self.relinearize_all().and_then(|()| {
-            let eliminated = self.eliminate(&job, None).map_err(|u| self.explain_here(u))?;
+            let eliminated =
+                self.eliminate(&job, None).map_err(|failure| self.explain(failure, &[], &[]))?;
             self.install(&Affected::default(), job, eliminated);
             let initial_error = at_estimate.min(at_points);
             match settings.method {
@@ -173,10 +174,29 @@ impl Smoother {
         settings: &BatchSettings,
         initial_error: f64,
     ) -> Result<BatchReport, SmootherError> {
+        let may_damp = settings.method == Method::LevenbergMarquardt;
+        let more =
+            |damping: f64| if damping == 0.0 { FIRST_DAMPING } else { damping * DAMPING_FACTOR };
         let mut error = initial_error;
         let mut damping = 0.0;
         let mut iterations = 0;
+        // Whether the tree is the factorization at the current points with the current damping.
+        let mut eliminated = true;
         let status = loop {
+            if iterations >= settings.max_iterations {
+                break Status::NotConverged(Reason::IterationLimit);
+            }
+            if !eliminated {
+                match self.eliminate_in_place(damping) {
+                    Ok(()) => eliminated = true,
+                    // Damping also carries over points where the system is singular.
+                    Err(SmootherError::Singular(_)) if may_damp && damping <= LARGEST_DAMPING => {
+                        damping = more(damping);
+                        continue;
+                    }
+                    Err(error) => return Err(error),
+                }
+            }
             let delta = solve::all(&self.graph, &self.tree);
             let trial = retract_all(&self.graph, &self.points, &delta);
             let trial_error = self.graph.error(&trial);
@@ -189,26 +209,26 @@ impl Smoother {
                 error = trial_error;
                 iterations += 1;
                 self.relinearize_all()?;
+                eliminated = false;
                 damping = if damping <= FIRST_DAMPING { 0.0 } else { damping / DAMPING_FACTOR };
                 // A damped step is short because of the damping; only a full one proves the end.
                 if decrease <= negligible && damping == 0.0 {
                     break Status::Converged;
                 }
-                if iterations >= settings.max_iterations {
-                    break Status::NotConverged(Reason::IterationLimit);
-                }
             } else if promised <= negligible && damping == 0.0 {
                 break Status::Converged;
-            } else if settings.method == Method::GaussNewton {
+            } else if !may_damp {
                 break Status::NotConverged(Reason::ErrorWouldRise);
             } else if damping > LARGEST_DAMPING {
                 break Status::NotConverged(Reason::NoDescent);
             } else {
-                damping = if damping == 0.0 { FIRST_DAMPING } else { damping * DAMPING_FACTOR };
+                damping = more(damping);
+                eliminated = false;
             }
-            self.eliminate_in_place(damping)?;
         };
-        self.eliminate_in_place(0.0)?;
+        if !eliminated || damping > 0.0 {
+            self.eliminate_in_place(0.0)?;
+        }
         Ok(self.finish(status, iterations, initial_error, error))
     }
 
@@ -221,7 +241,16 @@ impl Smoother {
         let mut error = initial_error;
         let mut radius = f64::INFINITY;
         let mut iterations = 0;
+        // Whether the tree is the factorization at the current points.
+        let mut eliminated = true;
         let status = 'outer: loop {
+            if iterations >= settings.max_iterations {
+                break Status::NotConverged(Reason::IterationLimit);
+            }
+            if !eliminated {
+                self.eliminate_in_place(0.0)?;
+                eliminated = true;
+            }
             let newton = solve::all(&self.graph, &self.tree);
             let scale = diagonal(&self.graph, &self.blocks);
             let gradient = gradient(&self.graph, &self.blocks);
@@ -247,6 +276,7 @@ impl Smoother {
                     error = trial_error;
                     iterations += 1;
                     self.relinearize_all()?;
+                    eliminated = false;
                     if decrease <= negligible && full {
                         break 'outer Status::Converged;
                     }
@@ -256,16 +286,15 @@ impl Smoother {
                     break 'outer Status::Converged;
                 }
                 radius = 0.25 * radius.min(newton_length);
-                if radius < SMALLEST_RADIUS * newton_length {
+                // Written so that an infinite or NaN length ends it too.
+                if !(radius.is_finite() && radius >= SMALLEST_RADIUS * newton_length) {
                     break 'outer Status::NotConverged(Reason::NoDescent);
                 }
             }
-            if iterations >= settings.max_iterations {
-                break Status::NotConverged(Reason::IterationLimit);
-            }
-            self.eliminate_in_place(0.0)?;
         };
-        self.eliminate_in_place(0.0)?;
+        if !eliminated {
+            self.eliminate_in_place(0.0)?;
+        }
         Ok(self.finish(status, iterations, initial_error, error))
     }
 
@@ -298,8 +327,9 @@ impl Smoother {
             diagonal.iter_mut().for_each(|d| *d *= damping);
             diagonal
         });
-        let eliminated =
-            self.eliminate(&job, added.as_deref()).map_err(|u| self.explain_here(u))?;
+        let eliminated = self
+            .eliminate(&job, added.as_deref())
+            .map_err(|failure| self.explain(failure, &[], &[]))?;
         self.install_numbers(&job, eliminated);
         Ok(())
     }

@@ -43,9 +43,9 @@ pub enum SmootherError {
     /// The information matrix is singular.
     #[error(transparent)]
     Singular(#[from] Singular),
-    /// The solution is not finite: the numbers overflow.
+    /// R or its right-hand side is not finite: the numbers overflow.
     #[error(
-        "the solution for variable {variable} is not finite: measurements or weights are too large for 64-bit numbers"
+        "the factorization at variable {variable} is not finite: measurements or weights are too large for 64-bit numbers"
     )]
     Overflow {
         /// The variable.

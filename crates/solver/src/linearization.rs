@@ -7,26 +7,26 @@ use evergraph_model::Graph;
 pub(crate) struct Blocks {
     data: Vec<f64>,
     /// By factor slot: start and length; length 0 for none.
-    ranges: Vec<(u32, u32)>,
+    ranges: Vec<(usize, usize)>,
     /// Starts of freed ranges, by length.
-    free: Vec<(u32, Vec<u32>)>,
+    free: Vec<(usize, Vec<usize>)>,
 }
 
 impl Blocks {
     /// `[J₁ … Jₖ | r]` of a factor, column-major.
     pub(crate) fn get(&self, factor: usize) -> &[f64] {
         let (start, len) = self.ranges[factor];
-        &self.data[start as usize..(start + len) as usize]
+        &self.data[start..start + len]
     }
 
     /// Makes room for a new factor and linearizes it. Returns whether all numbers are finite.
     pub(crate) fn insert(&mut self, graph: &Graph, factor: usize, points: &[f64]) -> bool {
-        let len = graph.linearization_len(factor) as u32;
+        let len = graph.linearization_len(factor);
         let reused =
             self.free.iter_mut().find(|(l, _)| *l == len).and_then(|(_, starts)| starts.pop());
         let start = reused.unwrap_or_else(|| {
-            let end = self.data.len() as u32;
-            self.data.resize((end + len) as usize, 0.0);
+            let end = self.data.len();
+            self.data.resize(end + len, 0.0);
             end
         });
         if self.ranges.len() <= factor {
@@ -39,7 +39,7 @@ impl Blocks {
     /// Linearizes a factor again. Returns whether all numbers are finite.
     pub(crate) fn relinearize(&mut self, graph: &Graph, factor: usize, points: &[f64]) -> bool {
         let (start, len) = self.ranges[factor];
-        let block = &mut self.data[start as usize..(start + len) as usize];
+        let block = &mut self.data[start..start + len];
         graph.linearize(factor, points, block);
         block.iter().all(|x| x.is_finite())
     }
@@ -47,7 +47,7 @@ impl Blocks {
     /// Puts a block back that was read by [`get`](Self::get) before.
     pub(crate) fn restore(&mut self, factor: usize, block: &[f64]) {
         let (start, len) = self.ranges[factor];
-        self.data[start as usize..(start + len) as usize].copy_from_slice(block);
+        self.data[start..start + len].copy_from_slice(block);
     }
 
     pub(crate) fn remove(&mut self, factor: usize) {
@@ -62,7 +62,7 @@ impl Blocks {
     pub(crate) fn undo_insert(&mut self, factor: usize, mark: (usize, usize)) {
         let (start, len) = std::mem::take(&mut self.ranges[factor]);
         if self.data.len() > mark.0 {
-            self.data.truncate(start as usize);
+            self.data.truncate(start);
         } else if let Some((_, starts)) = self.free.iter_mut().find(|(l, _)| *l == len) {
             starts.push(start);
         }

@@ -1,6 +1,6 @@
 //! What can be asked of a smoother; nothing here alters it.
 
-use std::hash::Hasher;
+use std::hash::{DefaultHasher, Hasher};
 
 use evergraph_model::{FactorId, Graph, Key, Manifold, Value, Values, VariableId};
 
@@ -33,8 +33,10 @@ impl Smoother {
     /// # Errors
     /// [`SmootherError::Graph`] for a key that is stale or foreign.
     pub fn estimate<V: Manifold>(&self, key: Key<V>) -> Result<V, SmootherError> {
+        // A clone mints ids of its own under the same names, so even a typed key is checked.
+        let key = self.graph.key::<V>(key.id())?;
         let value = self.estimate_value(key.id())?;
-        Ok(value.get().expect("a typed key is only made for a variable of that type"))
+        Ok(value.get().expect("the type was checked"))
     }
 
     /// [`estimate`](Self::estimate) for a variable of any type.
@@ -100,28 +102,26 @@ impl Smoother {
         self.tree.pivot_ratio()
     }
 
-    /// A hash of every bit of graph layout, linearization points, estimates and factorization:
-    /// equal states have equal fingerprints.
+    /// A hash of every bit of the state: graph with its free slots and versions, linearization
+    /// points, Jacobians, the tree with all of its numbers, kept δ and exact δ. Equal states have
+    /// equal fingerprints, also in different processes running the same build.
     pub fn fingerprint(&self) -> u64 {
-        let mut hash = std::collections::hash_map::DefaultHasher::new();
-        let mut add = |x: f64| hash.write_u64(x.to_bits());
+        let mut hash = DefaultHasher::new();
+        self.graph.hash_state(&mut hash);
+        let mut number = |x: f64| hash.write_u64(x.to_bits());
         let delta = solve::all(&self.graph, &self.tree);
         for v in self.graph.variable_indices() {
-            add(v as f64);
-            self.points[self.graph.value_range(v)].iter().for_each(|&x| add(x));
-            delta[self.graph.tangent_range(v)].iter().for_each(|&x| add(x));
-            self.solution.delta[self.graph.tangent_range(v)].iter().for_each(|&x| add(x));
-            add(f64::from(self.tree.clique_of(v as u32)));
+            self.points[self.graph.value_range(v)].iter().for_each(|&x| number(x));
+            delta[self.graph.tangent_range(v)].iter().for_each(|&x| number(x));
+            self.solution.delta[self.graph.tangent_range(v)].iter().for_each(|&x| number(x));
         }
         for f in self.graph.factor_indices() {
-            add(f as f64);
-            self.blocks.get(f).iter().for_each(|&x| add(x));
+            self.blocks.get(f).iter().for_each(|&x| number(x));
         }
-        for c in self.tree.top_down() {
-            let clique = self.tree.clique(c);
-            clique.structure.variables().for_each(|v| add(f64::from(v)));
-            clique.numeric.panel.iter().for_each(|&x| add(x));
-        }
+        self.tree.hash_state(&mut hash);
+        hash.write_u32(self.newest);
+        hash.write_u64(self.steps);
+        hash.write_u8(u8::from(self.at_optimum));
         hash.finish()
     }
 

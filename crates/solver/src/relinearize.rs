@@ -35,7 +35,10 @@ impl Smoother {
         else {
             return;
         };
-        let tolerance = self.settings.back_substitution_tolerance.min(threshold);
+        // One tolerance for both checks: what a coarse pass leaves out, a fine one does not see.
+        let checks = [policy.fluid, policy.sweep].into_iter().flatten();
+        let tolerance = checks
+            .fold(self.settings.back_substitution_tolerance, |t, check| t.min(check.threshold));
         self.solution.refresh(&self.graph, &mut self.tree, tolerance);
         let moved = self.moved_beyond(threshold);
         if moved.is_empty() {
@@ -58,8 +61,8 @@ impl Smoother {
         self.graph.variable_indices().filter(far).map(|v| v as u32).collect()
     }
 
-    /// Moves the linearization points of `variables` to their estimates, linearizes their factors
-    /// again, and eliminates what depends on them: in place, or everything in a fresh order when
+    /// Moves the linearization points of `variables` by the δ of the last check, linearizes their
+    /// factors again, and eliminates what depends on them: in place, or everything in a fresh order when
     /// it is most of the tree. Returns how many cliques that were.
     ///
     /// On error nothing has changed.
@@ -116,7 +119,8 @@ impl Smoother {
             return Ok(self.tree.len());
         }
         let job = in_place(&self.tree, &marked);
-        let eliminated = self.eliminate(&job, None).map_err(|u| self.explain_here(u))?;
+        let eliminated =
+            self.eliminate(&job, None).map_err(|failure| self.explain(failure, &[], &[]))?;
         self.install_numbers(&job, eliminated);
         Ok(count)
     }
@@ -126,17 +130,10 @@ impl Smoother {
         let affected = Affected::everything(&self.tree);
         let newest = self.newest;
         let job = affected.plan(&self.graph, &self.tree, newest, &mut self.scratch.local);
-        let eliminated = self.eliminate(&job, None).map_err(|u| self.explain_here(u))?;
+        let eliminated =
+            self.eliminate(&job, None).map_err(|failure| self.explain(failure, &[], &[]))?;
         self.install(&affected, job, eliminated);
         Ok(())
-    }
-
-    pub(crate) fn explain_here(
-        &self,
-        undetermined: crate::eliminate::Undetermined,
-    ) -> SmootherError {
-        crate::diagnose::singular(&self.graph, &self.blocks, (&[], &[]), undetermined.variable)
-            .into()
     }
 
     /// Relinearizes every variable and solves to convergence, by Gauss-Newton damped where it must

@@ -6,7 +6,7 @@ use evergraph_model::{Change, Graph, Staged};
 
 use crate::dense::select_arch;
 use crate::diagnose;
-use crate::eliminate::{self, Eliminated, Job, NodeStructure, System, Undetermined, Workspace};
+use crate::eliminate::{self, Eliminated, Failure, Job, NodeStructure, System, Workspace};
 use crate::error::SmootherError;
 use crate::linearization::Blocks;
 use crate::report::Report;
@@ -18,8 +18,9 @@ use crate::update::Affected;
 /// An incremental smoother: a factor graph, its square-root information matrix as a tree of
 /// cliques, and the estimate.
 ///
-/// [`apply`](Self::apply) is the only way to alter it. It is `Send`; a clone is an independent
-/// smoother that understands the same keys.
+/// [`apply`](Self::apply) is the only way to alter it. It is `Send`. A clone is an independent
+/// smoother that understands the keys made before it was cloned; keys made later are good for the
+/// one that made them only.
 #[derive(Clone, Debug)]
 pub struct Smoother {
     pub(crate) settings: Settings,
@@ -131,14 +132,12 @@ impl Smoother {
         // 5. Eliminate them, bottom-up.
         let eliminated = match self.eliminate(&job, None) {
             Ok(eliminated) => eliminated,
-            Err(undetermined) => {
-                let error = self.explain(undetermined, &staged);
+            Err(failure) => {
+                let error =
+                    self.explain(failure, staged.dropped_factors(), staged.dropped_variables());
                 return Err(self.roll_back(undo, staged, error));
             }
         };
-        if let Some(error) = self.find_overflow(&job, &eliminated) {
-            return Err(self.roll_back(undo, staged, error));
-        }
         // 6. Commit.
         let mut report = Report {
             variables_eliminated: affected.variables.len(),
@@ -186,7 +185,7 @@ impl Smoother {
             .moves()
             .iter()
             .flat_map(|(v, _)| self.graph.factors_at(v.index()).iter().copied())
-            .filter(|f| !staged.dropped_factors().contains(f))
+            .filter(|f| staged.dropped_factors().binary_search(f).is_err())
             .collect();
         again.sort_unstable();
         again.dedup();
@@ -226,7 +225,8 @@ impl Smoother {
     /// landmarks the pose, which the next change will continue), else the one so far.
     fn newest_after(&self, staged: &Staged) -> u32 {
         let new = staged.new_variables().max_by_key(|&v| self.graph.dim_at(v));
-        new.map_or(self.newest, |v| v as u32)
+        let dropped = staged.dropped_variables().binary_search(&self.newest).is_ok();
+        new.map_or(if dropped { NONE } else { self.newest }, |v| v as u32)
     }
 
     /// Eliminates a job with the current blocks and settings.
@@ -234,7 +234,7 @@ impl Smoother {
         &mut self,
         job: &Job,
         damping: Option<&[f64]>,
-    ) -> Result<Eliminated, Undetermined> {
+    ) -> Result<Eliminated, Failure> {
         let system = System {
             graph: &self.graph,
             blocks: &self.blocks,
@@ -247,20 +247,22 @@ impl Smoother {
         eliminate::eliminate(&system, job, &mut self.scratch.workspace, pool)
     }
 
-    fn explain(&self, undetermined: Undetermined, staged: &Staged) -> SmootherError {
-        let excluded = (staged.dropped_factors(), staged.dropped_variables());
-        diagnose::singular(&self.graph, &self.blocks, excluded, undetermined.variable).into()
-    }
-
-    fn find_overflow(&self, job: &Job, eliminated: &Eliminated) -> Option<SmootherError> {
-        for (node, numeric) in job.nodes.iter().zip(&eliminated.nodes) {
-            let finite = numeric.as_ref().is_some_and(|n| n.panel.iter().all(|x| x.is_finite()));
-            if !finite && let NodeStructure::New(structure) = &node.structure {
-                let variable = self.graph.variable_id(structure.frontals[0] as usize);
-                return Some(SmootherError::Overflow { variable });
+    /// Puts a failure into words; factors and variables that are being dropped (ascending) do not
+    /// count.
+    pub(crate) fn explain(
+        &self,
+        failure: Failure,
+        factors: &[u32],
+        variables: &[u32],
+    ) -> SmootherError {
+        match failure {
+            Failure::Undetermined { variable } => {
+                diagnose::singular(&self.graph, &self.blocks, (factors, variables), variable).into()
+            }
+            Failure::Overflow { variable } => {
+                SmootherError::Overflow { variable: self.graph.variable_id(variable as usize) }
             }
         }
-        None
     }
 
     /// Replaces the detached cliques by the job's.
@@ -294,7 +296,9 @@ impl Smoother {
             index_of.push(index);
         }
         for (clique, numeric) in eliminated.kept {
-            self.tree.clique_mut(clique).numeric = numeric;
+            let clique = self.tree.clique_mut(clique);
+            clique.numeric = numeric;
+            clique.solved = 0;
         }
     }
 
@@ -308,7 +312,9 @@ impl Smoother {
             }
         }
         for (clique, numeric) in eliminated.kept {
-            self.tree.clique_mut(clique).numeric = numeric;
+            let clique = self.tree.clique_mut(clique);
+            clique.numeric = numeric;
+            clique.solved = 0;
         }
     }
 
@@ -322,9 +328,6 @@ impl Smoother {
         }
         for &variable in moved {
             self.solution.reset(&self.graph, variable as usize);
-        }
-        if staged.dropped_variables().contains(&self.newest) {
-            self.newest = NONE;
         }
         self.graph.commit(staged);
     }

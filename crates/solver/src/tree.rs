@@ -3,6 +3,8 @@
 //! A clique eliminates its *frontal* variables given its *separator*; the separator's variables
 //! are frontal further up. Factors belong to the clique of their first-eliminated variable.
 
+use std::hash::{Hash, Hasher};
+
 use smallvec::SmallVec;
 
 /// "No clique": of variables outside the tree, and the parent of roots.
@@ -48,6 +50,8 @@ pub(crate) struct Numeric {
     pub(crate) diagonal: Vec<f64>,
     /// Smallest pivot over its diagonal entry of JᵀJ.
     pub(crate) pivot_ratio: f64,
+    /// Smallest pivot ratio of the whole subtree: what its contribution has lost.
+    pub(crate) weakest: f64,
 }
 
 /// The information that a subtree passes on about its separator and right-hand side.
@@ -176,6 +180,23 @@ impl Tree {
                 f * (f + 1) / 2 + f * s
             })
             .sum()
+    }
+
+    /// Feeds structure and numbers to a hash.
+    pub(crate) fn hash_state(&self, hash: &mut impl Hasher) {
+        (&self.free, &self.roots, &self.clique_of).hash(hash);
+        for (index, clique) in self.cliques.iter().enumerate() {
+            let Some(clique) = clique else { continue };
+            (index, clique.parent, clique.solved, clique.children.as_slice()).hash(hash);
+            let Structure { frontals, separator, factors, .. } = &clique.structure;
+            (frontals.as_slice(), separator.as_slice(), factors.as_slice()).hash(hash);
+            let numeric = &clique.numeric;
+            let (Contribution::Information(data) | Contribution::Root { data, .. }) =
+                &numeric.contribution;
+            for x in numeric.panel.iter().chain(data).chain(&numeric.diagonal) {
+                hash.write_u64(x.to_bits());
+            }
+        }
     }
 
     /// Smallest pivot ratio of the whole factorization; infinite for an empty tree.

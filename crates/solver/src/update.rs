@@ -71,12 +71,10 @@ impl Affected {
             .chain(staged.dropped_variables().iter().copied());
         let mut affected = Self::above(tree, &mark(tree, touched));
         if !staged.dropped_variables().is_empty() {
-            affected.variables.retain(|v| !staged.dropped_variables().contains(v));
+            affected.variables.retain(|v| staged.dropped_variables().binary_search(v).is_err());
         }
         if !staged.dropped_factors().is_empty() {
-            let mut dropped = staged.dropped_factors().to_vec();
-            dropped.sort_unstable();
-            affected.factors.retain(|f| dropped.binary_search(f).is_err());
+            affected.factors.retain(|f| staged.dropped_factors().binary_search(f).is_err());
         }
         affected.variables.extend(staged.new_variables().map(|v| v as u32));
         affected.factors.extend(new_factors);

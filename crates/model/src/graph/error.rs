@@ -102,6 +102,12 @@ pub enum GraphError {
         /// The object.
         what: String,
     },
+    /// Something does not fit 32-bit offsets.
+    #[error("{what} would need more than 2^32 numbers, which is more than a graph can hold")]
+    TooLarge {
+        /// What it is.
+        what: String,
+    },
     /// Another change came first.
     #[error("the change is stale: {reason}; make it again from the graph as it is now")]
     Stale {

@@ -1,14 +1,20 @@
 //! Where the numbers of each variable stand in flat arrays.
 
-/// First-fit of equal lengths: freed ranges are used again for variables of the same size.
-#[derive(Clone, Debug, Default)]
+/// Ranges of a growing array; freed ones are used again for objects of exactly the same size.
+#[derive(Clone, Debug, Default, Hash)]
 pub(super) struct Layout {
     pub(super) len: u32,
+    /// Starts of freed ranges, by size.
     free: Vec<(u32, Vec<u32>)>,
 }
 
 impl Layout {
+    /// The start and size of a range. The caller has checked that the array stays below 2³².
     pub(super) fn allocate(&mut self, size: u32) -> (u32, u32) {
+        // An empty range takes nothing, so there is nothing to give back or undo either.
+        if size == 0 {
+            return (0, 0);
+        }
         if let Some((_, starts)) = self.free.iter_mut().find(|(s, _)| *s == size)
             && let Some(start) = starts.pop()
         {
@@ -20,6 +26,9 @@ impl Layout {
     }
 
     pub(super) fn release(&mut self, (start, size): (u32, u32)) {
+        if size == 0 {
+            return;
+        }
         match self.free.iter_mut().find(|(s, _)| *s == size) {
             Some((_, starts)) => starts.push(start),
             None => self.free.push((size, vec![start])),

@@ -7,6 +7,7 @@ mod stage;
 pub use error::GraphError;
 pub use stage::Staged;
 
+use std::hash::{Hash, Hasher};
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -295,6 +296,22 @@ impl Graph {
     pub fn tangent_range(&self, index: usize) -> Range<usize> {
         let (start, len) = self.variable(index).tangent;
         start as usize..(start + len) as usize
+    }
+
+    /// Feeds everything but the factors' own contents and the graph's tag to a hash: equal graphs
+    /// give equal ids to equal changes.
+    pub fn hash_state(&self, hash: &mut impl Hasher) {
+        self.variables.hash_state(hash);
+        self.factors.hash_state(hash);
+        (&self.value_layout, &self.tangent_layout, self.dim).hash(hash);
+        for index in self.variables.indices() {
+            let Variable { kind, value, tangent, factors, version } = self.variable(index);
+            (kind.name(), value, tangent, factors.as_slice(), version).hash(hash);
+        }
+        for index in self.factors.indices() {
+            let Term { variables, columns, rows, .. } = self.term(index);
+            (variables.as_slice(), columns.as_slice(), rows).hash(hash);
+        }
     }
 
     // --- Evaluation ------------------------------------------------------------------------

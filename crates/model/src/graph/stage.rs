@@ -32,12 +32,12 @@ impl Staged {
         self.new_factors.iter().map(|f| f.0 as usize)
     }
 
-    /// Slots of the factors that will go.
+    /// Slots of the factors that will go, ascending.
     pub fn dropped_factors(&self) -> &[u32] {
         &self.drop_factors
     }
 
-    /// Slots of the variables that will go.
+    /// Slots of the variables that will go, ascending.
     pub fn dropped_variables(&self) -> &[u32] {
         &self.drop_variables
     }
@@ -51,11 +51,13 @@ impl Graph {
     /// Any [`GraphError`]; the graph is then what it was, bit for bit.
     pub fn stage(&mut self, change: &Change) -> Result<Staged, GraphError> {
         self.check_references(change)?;
+        self.check_drops(change)?;
+        self.check_size(change)?;
         let mut staged = Staged {
             new_variables: Vec::with_capacity(change.new_variables.len()),
             new_factors: Vec::with_capacity(change.new_factors.len()),
-            drop_factors: change.drop_factors.iter().map(|f| f.index).collect(),
-            drop_variables: change.drop_variables.iter().map(|v| v.index).collect(),
+            drop_factors: sorted(change.drop_factors.iter().map(|f| f.index)),
+            drop_variables: sorted(change.drop_variables.iter().map(|v| v.index)),
             moved: change.moves.iter().map(|(v, _)| v.index).collect(),
         };
         for (id, value) in &change.new_variables {
@@ -89,10 +91,6 @@ impl Graph {
                     return Err(error);
                 }
             }
-        }
-        if let Err(error) = self.check_drops(change) {
-            self.unstage(staged);
-            return Err(error);
         }
         Ok(staged)
     }
@@ -190,8 +188,9 @@ impl Graph {
         for (id, value) in &change.moves {
             self.check_variable(*id)?;
             let variable = self.variable(id.index());
-            let fits =
-                variable.kind == value.kind() && variable.value.1 as usize == value.storage().len();
+            let fits = variable.kind == value.kind()
+                && variable.tangent.1 as usize == value.dim()
+                && variable.value.1 as usize == value.storage().len();
             if !fits {
                 return Err(GraphError::ValueMismatch {
                     variable: *id,
@@ -210,11 +209,6 @@ impl Graph {
         }
         for &id in &change.drop_factors {
             self.check_factor(id)?;
-            if change.new_factors.iter().any(|(new, _)| *new == id) {
-                return Err(GraphError::Twice {
-                    what: format!("factor {id}, which is added and dropped,"),
-                });
-            }
         }
         let mut variables = change.drop_variables.clone();
         if let Some(id) = first_duplicate(&mut variables) {
@@ -222,17 +216,28 @@ impl Graph {
         }
         for &id in &change.drop_variables {
             self.check_variable(id)?;
-            if change.new_variables.iter().any(|(new, _)| *new == id) {
-                return Err(GraphError::Twice {
-                    what: format!("variable {id}, which is added and dropped,"),
-                });
-            }
             for &f in self.factors_at(id.index()) {
                 let factor = self.factor_id(f as usize);
                 if factors.binary_search(&factor).is_err() {
                     return Err(GraphError::StillHeld { variable: id, factor });
                 }
             }
+        }
+        Ok(())
+    }
+
+    /// Offsets into flat arrays are 32 bits wide.
+    fn check_size(&self, change: &Change) -> Result<(), GraphError> {
+        let new: usize = change
+            .new_variables
+            .iter()
+            .map(|(_, value)| value.storage().len().max(value.dim()))
+            .sum();
+        let len = self.value_layout.len.max(self.tangent_layout.len);
+        if new > (u32::MAX - len) as usize {
+            return Err(GraphError::TooLarge {
+                what: "the values of all variables together".into(),
+            });
         }
         Ok(())
     }
@@ -257,7 +262,7 @@ impl Graph {
             factor: Arc::clone(factor),
             variables: SmallVec::new(),
             columns: SmallVec::new(),
-            rows: factor.residual_dim() as u32,
+            rows: u32::try_from(factor.residual_dim()).unwrap_or(u32::MAX),
         };
         let mut column = 0;
         for (position, &key) in keys.iter().enumerate() {
@@ -265,7 +270,7 @@ impl Graph {
             if term.variables.contains(&key.index) {
                 return Err(malformed(format!("names variable {key} twice")));
             }
-            if staged.drop_variables.contains(&key.index) {
+            if staged.drop_variables.binary_search(&key.index).is_ok() {
                 return Err(malformed(format!(
                     "is on variable {key}, which the same change drops"
                 )));
@@ -286,8 +291,19 @@ impl Graph {
             column += dim as u32;
         }
         term.columns.push(column);
+        if u64::from(term.rows) * (u64::from(column) + 1) > u64::from(u32::MAX) {
+            return Err(GraphError::TooLarge {
+                what: format!("the Jacobian of factor {id} ({})", factor.name()),
+            });
+        }
         Ok(term)
     }
+}
+
+fn sorted(indices: impl Iterator<Item = u32>) -> Vec<u32> {
+    let mut indices: Vec<u32> = indices.collect();
+    indices.sort_unstable();
+    indices
 }
 
 /// Sorts, and returns something that stands twice.

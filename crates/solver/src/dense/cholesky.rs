@@ -24,6 +24,29 @@ pub(crate) struct BadPivot {
     pub(crate) column: usize,
 }
 
+/// What a pivot must exceed, relative to its diagonal entry of JᵀJ.
+///
+/// A pivot of ratio ρ leaves noise of about ε/ρ relative in what it passes on, where a later pivot
+/// that should be zero would then hide. So no two pivots of a subtree may lose more than `product`
+/// together.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PivotBound {
+    /// For any pivot.
+    pub(crate) ratio: f64,
+    /// For the product of any pivot's ratio with the smallest before it.
+    pub(crate) product: f64,
+    /// The smallest ratio in the subtrees below.
+    pub(crate) weakest: f64,
+}
+
+impl PivotBound {
+    /// The bound once the smallest ratio of the same front is `smallest`.
+    #[inline(always)]
+    fn after(self, smallest: f64) -> f64 {
+        self.ratio.max(self.product / self.weakest.min(smallest))
+    }
+}
+
 /// The widest instruction set of this machine.
 pub(crate) fn select_arch() -> Arch {
     Arch::new()
@@ -31,8 +54,8 @@ pub(crate) fn select_arch() -> Arch {
 
 /// Eliminates the first `frontal` columns of the `n` × `n` column-major `front`.
 ///
-/// `diagonal[j]` is the diagonal entry of JᵀJ that belongs to frontal column `j`; a pivot below
-/// `threshold` times it has lost its digits and ends the elimination. Returns the smallest pivot
+/// `diagonal[j]` is the diagonal entry of JᵀJ that belongs to frontal column `j`; a pivot that is
+/// below `bound` of it has lost its digits and ends the elimination. Returns the smallest pivot
 /// ratio. O(frontal · n²).
 pub(crate) fn partial_cholesky(
     arch: Arch,
@@ -40,9 +63,9 @@ pub(crate) fn partial_cholesky(
     n: usize,
     frontal: usize,
     diagonal: &[f64],
-    threshold: f64,
+    bound: PivotBound,
 ) -> Result<f64, BadPivot> {
-    let kernel = PartialCholesky { front, n, frontal, diagonal, threshold };
+    let kernel = PartialCholesky { front, n, frontal, diagonal, bound };
     if n > super::LARGE && frontal > 32 { kernel.by_faer() } else { arch.dispatch(kernel) }
 }
 
@@ -51,7 +74,7 @@ struct PartialCholesky<'a> {
     n: usize,
     frontal: usize,
     diagonal: &'a [f64],
-    threshold: f64,
+    bound: PivotBound,
 }
 
 /// Columns eliminated together; their multiples are subtracted from the rest in one pass.
@@ -62,7 +85,7 @@ impl WithSimd for PartialCholesky<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
-        let Self { front, n, frontal, diagonal, threshold } = self;
+        let Self { front, n, frontal, diagonal, bound } = self;
         let mut smallest = f64::INFINITY;
         let mut start = 0;
         while start < frontal {
@@ -78,7 +101,7 @@ impl WithSimd for PartialCholesky<'_> {
                 let pivot = column[0];
                 let scale = diagonal[start + j];
                 // Written so that NaN fails too.
-                if !(pivot > threshold * scale && pivot.is_finite()) {
+                if !(pivot > bound.after(smallest) * scale && pivot.is_finite()) {
                     return Err(BadPivot { column: start + j });
                 }
                 smallest = smallest.min(pivot / scale);
@@ -179,7 +202,7 @@ fn subtract_panel<S: Simd>(simd: S, panel: &[f64], rest: &mut [f64], n: usize, f
 
 impl PartialCholesky<'_> {
     fn by_faer(self) -> Result<f64, BadPivot> {
-        let Self { front, n, frontal, diagonal, threshold } = self;
+        let Self { front, n, frontal, diagonal, bound } = self;
         let matrix = MatMut::from_column_major_slice_mut(front, n, n);
         let (mut a, _, mut b, c) = matrix.split_at_mut(frontal, frontal);
         let params = Spec::<LltParams, f64>::default();
@@ -195,7 +218,7 @@ impl PartialCholesky<'_> {
         let mut smallest = f64::INFINITY;
         for (column, scale) in diagonal[..frontal].iter().enumerate() {
             let pivot = a[(column, column)] * a[(column, column)];
-            if !(pivot > threshold * scale && pivot.is_finite()) {
+            if !(pivot > bound.after(smallest) * scale && pivot.is_finite()) {
                 return Err(BadPivot { column });
             }
             smallest = smallest.min(pivot / scale);
@@ -222,6 +245,8 @@ mod tests {
     use super::*;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
+
+    const LENIENT: PivotBound = PivotBound { ratio: 1e-9, product: 0.0, weakest: 1.0 };
 
     /// A positive definite n × n matrix, column-major, and its diagonal.
     fn front(n: usize, seed: u64) -> (Vec<f64>, Vec<f64>) {
@@ -267,7 +292,7 @@ mod tests {
                 for frontal in [1, n / 3, n / 2, n.saturating_sub(1), n] {
                     let (original, diagonal) = front(n, n as u64);
                     let mut result = original.clone();
-                    partial_cholesky(arch, &mut result, n, frontal, &diagonal, 1e-12).unwrap();
+                    partial_cholesky(arch, &mut result, n, frontal, &diagonal, LENIENT).unwrap();
                     check(&original, &result, n, frontal);
                 }
             }
@@ -279,7 +304,7 @@ mod tests {
         let (n, frontal) = (super::super::LARGE + 21, 150);
         let (original, diagonal) = front(n, 7);
         let mut result = original.clone();
-        partial_cholesky(select_arch(), &mut result, n, frontal, &diagonal, 1e-12).unwrap();
+        partial_cholesky(select_arch(), &mut result, n, frontal, &diagonal, LENIENT).unwrap();
         check(&original, &result, n, frontal);
     }
 
@@ -296,13 +321,27 @@ mod tests {
             }
             diagonal[4] = diagonal[1];
             let mut copy = f.clone();
-            let error = partial_cholesky(select_arch(), &mut copy, n, n.min(60), &diagonal, 1e-9)
-                .unwrap_err();
+            let error =
+                partial_cholesky(select_arch(), &mut copy, n, n.min(60), &diagonal, LENIENT)
+                    .unwrap_err();
             assert_eq!(error.column, 4);
             f[0] = f64::NAN;
             assert!(
-                partial_cholesky(select_arch(), &mut f, n, n.min(60), &diagonal, 1e-9).is_err()
+                partial_cholesky(select_arch(), &mut f, n, n.min(60), &diagonal, LENIENT).is_err()
             );
         }
+    }
+
+    #[test]
+    fn two_weak_pivots_in_a_row_are_one_too_many() {
+        let f = |a, b| [a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, 1.0];
+        let bound = PivotBound { ratio: 1e-9, product: 1e-13, weakest: 1.0 };
+        let diagonal = [1.0, 1.0, 1.0];
+        let run =
+            |a, b, bound| partial_cholesky(select_arch(), &mut f(a, b), 3, 3, &diagonal, bound);
+        assert_eq!(run(1e-8, 1.0, bound), Ok(1e-8));
+        assert_eq!(run(1e-8, 1e-8, bound), Err(BadPivot { column: 1 }));
+        let below = PivotBound { weakest: 1e-8, ..bound };
+        assert_eq!(run(1e-8, 1.0, below), Err(BadPivot { column: 0 }));
     }
 }

@@ -7,7 +7,7 @@
 mod cholesky;
 mod householder;
 
-pub(crate) use cholesky::{BadPivot, partial_cholesky, select_arch};
+pub(crate) use cholesky::{BadPivot, PivotBound, partial_cholesky, select_arch};
 pub(crate) use householder::triangularize;
 
 /// Fronts with more columns than this go to faer; the kernels are on a par between 200 and 400.

@@ -1,8 +1,8 @@
 //! One clique by Cholesky: assemble the frontal matrix, factor the frontal columns, keep the rest
 //! as the contribution.
 
-use super::{CHOLESKY_PIVOT, System};
-use crate::dense::{BadPivot, partial_cholesky};
+use super::{CHOLESKY_PIVOT, CHOLESKY_PRODUCT, System};
+use crate::dense::{BadPivot, PivotBound, partial_cholesky};
 use crate::tree::{Contribution, Numeric, Structure};
 
 /// Buffers that eliminations on one thread share. Never part of any result.
@@ -99,7 +99,11 @@ pub(super) fn eliminate(
         add_factor(system, factor as usize, n, workspace);
         workspace.add_factor_diagonal(system, factor as usize);
     }
+    let mut weakest = 1.0_f64;
     for (child, numeric) in children {
+        // A square root has lost half as many digits.
+        let root = numeric.contribution.is_root();
+        weakest = weakest.min(if root { numeric.weakest.sqrt() } else { numeric.weakest });
         workspace.map_child(system, child, n);
         match &numeric.contribution {
             Contribution::Information(packed) => add_information(packed, n, workspace),
@@ -116,13 +120,14 @@ pub(super) fn eliminate(
         }
     }
     let front = &mut workspace.front[..n * n];
-    let pivot_ratio =
-        partial_cholesky(system.arch, front, n, frontal, &workspace.diagonal, CHOLESKY_PIVOT)?;
+    let bound = PivotBound { ratio: CHOLESKY_PIVOT, product: CHOLESKY_PRODUCT, weakest };
+    let pivot_ratio = partial_cholesky(system.arch, front, n, frontal, &workspace.diagonal, bound)?;
     Ok(Numeric {
         panel: panel(front, n, frontal),
         contribution: Contribution::Information(packed_lower(front, n, frontal)),
         diagonal: workspace.diagonal[frontal..].to_vec(),
         pivot_ratio,
+        weakest: weakest.min(pivot_ratio),
     })
 }
 

@@ -9,6 +9,8 @@ mod front;
 mod parallel;
 mod rows;
 
+use std::collections::BTreeMap;
+
 use evergraph_model::Graph;
 use smallvec::SmallVec;
 
@@ -25,6 +27,9 @@ pub(crate) const CHOLESKY_PIVOT: f64 = 1e-9;
 /// QR finds R_jj to about 1e-15 of its column's norm, so a free direction shows as 1e-28 or so,
 /// while sound ones go down to 2.7e-14 in a public graph (Intel, where one edge weighs 2.7e12).
 pub(crate) const QR_PIVOT: f64 = 1e-22;
+/// What two pivots of a subtree may lose together; the square root of QR's noise is Cholesky's.
+pub(crate) const CHOLESKY_PRODUCT: f64 = 1e-13;
+pub(crate) const QR_PRODUCT: f64 = 1e-29;
 
 /// Where a contribution comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,20 +88,22 @@ impl<'a> System<'a> {
 #[derive(Debug, Default)]
 pub(crate) struct Eliminated {
     pub(crate) nodes: Vec<Option<Numeric>>,
-    pub(crate) kept: Vec<(u32, Numeric)>,
+    pub(crate) kept: BTreeMap<u32, Numeric>,
 }
 
 impl Eliminated {
     fn empty(job: &Job) -> Self {
-        Self { nodes: job.nodes.iter().map(|_| None).collect(), kept: Vec::new() }
+        Self { nodes: job.nodes.iter().map(|_| None).collect(), kept: BTreeMap::new() }
     }
 }
 
-/// A variable that is not determined by what was eliminated.
+/// Why an elimination stopped, and at which variable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Undetermined {
-    /// Slot of the variable whose pivot is zero.
-    pub(crate) variable: u32,
+pub(crate) enum Failure {
+    /// Its pivot is zero.
+    Undetermined { variable: u32 },
+    /// Its part of R is not finite.
+    Overflow { variable: u32 },
 }
 
 /// Eliminates all nodes of a job, on several threads where that pays. The arithmetic of a node
@@ -106,7 +113,7 @@ pub(crate) fn eliminate(
     job: &Job,
     workspace: &mut Workspace,
     threads: Option<&rayon::ThreadPool>,
-) -> Result<Eliminated, Undetermined> {
+) -> Result<Eliminated, Failure> {
     let mut results = Eliminated::empty(job);
     // What fails first is only certain in sequence, so a failure is found again below.
     if threads
@@ -126,15 +133,19 @@ struct Range<'a> {
     /// The first node.
     offset: usize,
     nodes: &'a mut [Option<Numeric>],
-    kept: &'a mut Vec<(u32, Numeric)>,
+    kept: &'a mut BTreeMap<u32, Numeric>,
 }
 
 impl<'a> Range<'a> {
     /// Eliminates the nodes that have no numbers yet.
-    fn eliminate(&mut self, workspace: &mut Workspace) -> Result<(), Undetermined> {
+    fn eliminate(&mut self, workspace: &mut Workspace) -> Result<(), Failure> {
         for i in 0..self.nodes.len() {
             if self.nodes[i].is_none() {
                 let numeric = self.eliminate_node(self.offset + i, workspace)?;
+                if numeric.panel.iter().any(|x| !x.is_finite()) {
+                    let structure = self.structure(Child::Node(self.offset + i));
+                    return Err(Failure::Overflow { variable: structure.frontals[0] });
+                }
                 self.nodes[i] = Some(numeric);
             }
         }
@@ -145,7 +156,7 @@ impl<'a> Range<'a> {
         &mut self,
         node: usize,
         workspace: &mut Workspace,
-    ) -> Result<Numeric, Undetermined> {
+    ) -> Result<Numeric, Failure> {
         if self.system.elimination == Elimination::Cholesky {
             let children = self.inputs(Child::Node(node));
             let structure = self.structure(Child::Node(node));
@@ -163,7 +174,7 @@ impl<'a> Range<'a> {
         &mut self,
         node: usize,
         workspace: &mut Workspace,
-    ) -> Result<Numeric, Undetermined> {
+    ) -> Result<Numeric, Failure> {
         // What has to be eliminated again, parents before children; done in reverse.
         let mut pending = vec![Child::Node(node)];
         let mut next = 0;
@@ -181,7 +192,9 @@ impl<'a> Range<'a> {
             match current {
                 Child::Node(n) if n == node => return Ok(numeric),
                 Child::Node(n) => self.nodes[n - self.offset] = Some(numeric),
-                Child::Kept(clique) => self.kept.push((clique, numeric)),
+                Child::Kept(clique) => {
+                    self.kept.insert(clique, numeric);
+                }
             }
         }
     }
@@ -208,8 +221,7 @@ impl<'a> Range<'a> {
                 self.nodes[n - self.offset].as_ref().expect("postorder: children come first")
             }
             Child::Kept(clique) => {
-                let again = self.kept.iter().rev().find(|(c, _)| *c == clique);
-                again.map_or(&self.system.tree.clique(clique).numeric, |(_, numeric)| numeric)
+                self.kept.get(&clique).unwrap_or(&self.system.tree.clique(clique).numeric)
             }
         }
     }

@@ -1,8 +1,10 @@
 //! Elimination of independent subtrees on several threads.
 
+use std::collections::BTreeMap;
+
 use rayon::prelude::*;
 
-use super::{Eliminated, Job, Range, System, Undetermined, Workspace};
+use super::{Eliminated, Failure, Job, Range, System, Workspace};
 use crate::tree::Numeric;
 
 /// Jobs with less arithmetic than this (multiply-adds) stay on one thread: waking the others would
@@ -18,7 +20,7 @@ pub(super) fn eliminate_subtrees(
     job: &Job,
     pool: &rayon::ThreadPool,
     results: &mut Eliminated,
-) -> Result<(), Undetermined> {
+) -> Result<(), Failure> {
     let mut tasks: Vec<(usize, &mut [Option<Numeric>])> = Vec::new();
     let mut rest: &mut [Option<Numeric>] = &mut results.nodes;
     let mut at = 0;
@@ -31,11 +33,11 @@ pub(super) fn eliminate_subtrees(
     if tasks.len() < 2 {
         return Ok(());
     }
-    let outcomes: Vec<Result<_, Undetermined>> = pool.install(|| {
+    let outcomes: Vec<Result<_, Failure>> = pool.install(|| {
         tasks
             .into_par_iter()
             .map_init(Workspace::default, |workspace, (offset, nodes)| {
-                let mut kept = Vec::new();
+                let mut kept = BTreeMap::new();
                 Range { system, job, offset, nodes, kept: &mut kept }.eliminate(workspace)?;
                 Ok(kept)
             })

@@ -1,7 +1,7 @@
 //! One clique by QR: stack the whitened rows of its factors and its children's square-root
 //! contributions, triangularize, keep the rows below the frontal ones as the contribution.
 
-use super::{QR_PIVOT, System, Undetermined};
+use super::{Failure, QR_PIVOT, QR_PRODUCT, System};
 use crate::dense::triangularize;
 use crate::eliminate::front::Workspace;
 use crate::tree::{Contribution, Numeric, Structure};
@@ -12,7 +12,7 @@ pub(super) fn eliminate(
     structure: &Structure,
     children: &[(&Structure, &Numeric)],
     workspace: &mut Workspace,
-) -> Result<Numeric, Undetermined> {
+) -> Result<Numeric, Failure> {
     let n = structure.front_dim();
     let frontal = structure.frontal_dim;
     let factor_rows: usize =
@@ -51,7 +51,8 @@ pub(super) fn eliminate(
         }
     }
     triangularize(&mut workspace.front[..m * n], m, n);
-    collect(system, structure, m, frontal, workspace)
+    let weakest = children.iter().map(|(_, numeric)| numeric.weakest).fold(1.0, f64::min);
+    collect(system, structure, m, weakest, workspace)
 }
 
 /// A child's square-root contribution: rows and data.
@@ -92,10 +93,10 @@ fn collect(
     system: &System<'_>,
     structure: &Structure,
     m: usize,
-    frontal: usize,
+    mut weakest: f64,
     workspace: &Workspace,
-) -> Result<Numeric, Undetermined> {
-    let n = structure.front_dim();
+) -> Result<Numeric, Failure> {
+    let (n, frontal) = (structure.front_dim(), structure.frontal_dim);
     let front = &workspace.front;
     let mut panel = vec![0.0; frontal * n];
     let mut pivot_ratio = f64::INFINITY;
@@ -103,10 +104,11 @@ fn collect(
         let pivot = if j < m { front[j * m + j] } else { 0.0 };
         let ratio = pivot * pivot / workspace.diagonal[j];
         // Written so that NaN (no information at all: 0/0) fails too.
-        if !(ratio > QR_PIVOT && ratio.is_finite()) {
-            return Err(Undetermined { variable: frontal_at(system, structure, j) });
+        if !(ratio > QR_PIVOT.max(QR_PRODUCT / weakest) && ratio.is_finite()) {
+            return Err(Failure::Undetermined { variable: frontal_at(system, structure, j) });
         }
         pivot_ratio = pivot_ratio.min(ratio);
+        weakest = weakest.min(ratio);
         let sign = pivot.signum();
         for i in j..n {
             panel[j * n + i] = sign * front[i * m + j];
@@ -124,6 +126,7 @@ fn collect(
         contribution: Contribution::Root { rows, data },
         diagonal: workspace.diagonal[frontal..].to_vec(),
         pivot_ratio,
+        weakest,
     })
 }
 
