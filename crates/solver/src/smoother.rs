@@ -110,8 +110,8 @@ impl Smoother {
 
     /// Applies a change, whole or not at all, and relinearizes when the policy says so.
     ///
-    /// The work follows the part of the tree between the touched variables and the root: constant
-    /// for a pose that continues a trajectory, larger when a loop closes.
+    /// The work follows the part of the tree between the touched variables and the root: the root
+    /// clique alone for a pose that continues a trajectory, more when a loop closes.
     ///
     /// # Errors
     /// [`SmootherError`]; graph, estimate and factorization are then bit for bit what they were.
