@@ -40,10 +40,13 @@ pub(crate) struct PivotBound {
 }
 
 impl PivotBound {
-    /// The bound once the smallest ratio of the same front is `smallest`.
+    /// Whether `pivot` is sound beside its diagonal entry, once the smallest ratio of the same
+    /// front is `smallest`. Written so that NaN is not.
     #[inline(always)]
-    fn after(self, smallest: f64) -> f64 {
-        self.ratio.max(self.product / self.weakest.min(smallest))
+    fn allows(self, pivot: f64, diagonal: f64, smallest: f64) -> bool {
+        pivot > self.ratio * diagonal
+            && pivot * self.weakest.min(smallest) > self.product * diagonal
+            && pivot.is_finite()
     }
 }
 
@@ -100,16 +103,13 @@ impl WithSimd for PartialCholesky<'_> {
                 }
                 let pivot = column[0];
                 let scale = diagonal[start + j];
-                // Written so that NaN fails too.
-                if !(pivot > bound.after(smallest) * scale && pivot.is_finite()) {
+                if !bound.allows(pivot, scale, smallest) {
                     return Err(BadPivot { column: start + j });
                 }
                 smallest = smallest.min(pivot / scale);
-                let inverse = 1.0 / pivot.sqrt();
-                column[0] = pivot.sqrt();
-                for x in &mut column[1..] {
-                    *x *= inverse;
-                }
+                let root = pivot.sqrt();
+                column[0] = root;
+                scale_by(simd, &mut column[1..], 1.0 / root);
             }
             if width == PANEL {
                 subtract_panel(simd, panel, rest, n, start + PANEL);
@@ -124,6 +124,19 @@ impl WithSimd for PartialCholesky<'_> {
             start += width;
         }
         Ok(smallest)
+    }
+}
+
+/// `y *= a`.
+#[inline(always)]
+fn scale_by<S: Simd>(simd: S, y: &mut [f64], a: f64) {
+    let (head, tail) = S::as_mut_simd_f64s(y);
+    let factor = simd.splat_f64s(a);
+    for y in head {
+        *y = simd.mul_f64s(*y, factor);
+    }
+    for y in tail {
+        *y *= a;
     }
 }
 
@@ -218,7 +231,7 @@ impl PartialCholesky<'_> {
         let mut smallest = f64::INFINITY;
         for (column, scale) in diagonal[..frontal].iter().enumerate() {
             let pivot = a[(column, column)] * a[(column, column)];
-            if !(pivot > bound.after(smallest) * scale && pivot.is_finite()) {
+            if !bound.allows(pivot, *scale, smallest) {
                 return Err(BadPivot { column });
             }
             smallest = smallest.min(pivot / scale);

@@ -27,8 +27,8 @@ pub(crate) const CHOLESKY_PIVOT: f64 = 1e-9;
 /// QR finds R_jj to about 1e-15 of its column's norm, so a free direction shows as 1e-28 or so,
 /// while sound ones go down to 2.7e-14 in a public graph (Intel, where one edge weighs 2.7e12).
 pub(crate) const QR_PIVOT: f64 = 1e-22;
-/// What two pivots of a subtree may lose together; the square root of QR's noise is Cholesky's.
-pub(crate) const CHOLESKY_PRODUCT: f64 = 1e-13;
+/// What two pivots of a subtree may lose together: ε/ρ beside ρ for Cholesky, their squares for QR.
+pub(crate) const CHOLESKY_PRODUCT: f64 = 1e-14;
 pub(crate) const QR_PRODUCT: f64 = 1e-29;
 
 /// Where a contribution comes from.
@@ -142,8 +142,13 @@ impl<'a> Range<'a> {
         for i in 0..self.nodes.len() {
             if self.nodes[i].is_none() {
                 let numeric = self.eliminate_node(self.offset + i, workspace)?;
-                if numeric.panel.iter().any(|x| !x.is_finite()) {
-                    let structure = self.structure(Child::Node(self.offset + i));
+                // Anything else that is not finite reaches a pivot on the way up.
+                let structure = self.structure(Child::Node(self.offset + i));
+                let rhs = numeric
+                    .panel
+                    .chunks_exact(structure.front_dim())
+                    .map(|column| column[column.len() - 1]);
+                if rhs.into_iter().any(|x| !x.is_finite()) {
                     return Err(Failure::Overflow { variable: structure.frontals[0] });
                 }
                 self.nodes[i] = Some(numeric);
