@@ -105,13 +105,19 @@ pub(crate) fn write_document(path: &Path, document: &Document) -> Result<Written
 /// Whether the document can be written to the path at all: asked before long work.
 pub(crate) fn check_output(path: &Path, document: &Document) -> Result<(), Error> {
     check_fits(document, dialect_of(path)?)?;
-    match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() && !folder.is_dir() => {
-            let source = io::Error::new(io::ErrorKind::NotFound, "there is no such folder");
-            Err(Error::Write { path: path.into(), source })
-        }
-        _ => Ok(()),
+    check_writable(path)
+}
+
+/// Whether a file can be made at the path: asked before long work.
+pub(crate) fn check_writable(path: &Path) -> Result<(), Error> {
+    if let Some(folder) = path.parent()
+        && !folder.as_os_str().is_empty()
+        && !folder.is_dir()
+    {
+        let source = io::Error::new(io::ErrorKind::NotFound, "there is no such folder");
+        return Err(Error::Write { path: path.into(), source });
     }
+    NewFile::create(path).map(drop)
 }
 
 fn check_fits(document: &Document, dialect: Dialect) -> Result<(), Error> {

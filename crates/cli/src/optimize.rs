@@ -82,6 +82,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     if let Some(path) = &arguments.output {
         files::check_output(path, &document)?;
     }
+    if let Some(path) = &common.report {
+        files::check_writable(path)?;
+    }
     let options = arguments.solving.replay_options(arguments.init);
     let mut replayer = Replayer::new(&document, &options, settings)?;
     let mut settings_json = arguments.solving.json(arguments.init, &settings)?;
@@ -136,11 +139,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     report.add("iterations", batch.iterations);
     report.add("initial_error", json!(initial_error));
     report.add("gradient_norm", batch.gradient_norm);
-    report.save(common.report.as_deref())?;
     if let Some(path) = &arguments.output {
         let written = files::write_document(path, &replayer.solution(&document)?)?;
         crate::convert::tell(&written, path, output);
     }
+    report.save(common.report.as_deref())?;
     let mut rows = report.table(&format!("{words} after {} iterations", batch.iterations));
     rows.add("initial error", initial_error.map_or_else(String::new, number));
     rows.add("gradient norm", format!("{:.3e} (largest component of J^T r)", batch.gradient_norm));

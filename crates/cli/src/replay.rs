@@ -97,6 +97,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     if let Some(path) = &arguments.output {
         files::check_output(path, &document)?;
     }
+    if let Some(path) = &common.report {
+        files::check_writable(path)?;
+    }
     let options = arguments.solving.replay_options(arguments.initial);
     let mut replayer =
         Replayer::new(&document, &options, settings)?.with_full_estimate(arguments.full_estimate);
@@ -128,7 +131,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         dataset,
         settings: settings_json(arguments, &settings)?,
         time,
-        relinearizations: driven.relinearizations,
+        relinearizations: driven.relinearizations
+            + batch.map_or(0, |(batch, _)| {
+                batch.iterations as usize * replayer.graph().variable_count()
+            }),
         status,
         peak_rss_mb,
     };
@@ -143,13 +149,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     if let Err(error) = &outcome {
         report.add("message", error.to_string());
     }
-    report.save(common.report.as_deref())?;
-    outcome?;
-
-    if let Some(path) = &arguments.output {
+    // The map comes first: of the two it is the one that cost the work.
+    if let (Ok(_), Some(path)) = (&outcome, &arguments.output) {
         let written = files::write_document(path, &replayer.solution(&document)?)?;
         crate::convert::tell(&written, path, output);
     }
+    report.save(common.report.as_deref())?;
+    outcome?;
     warn(&replayer, &driven, output);
     output.result(&report.table(&in_words(&report, cut, &batch)))
 }

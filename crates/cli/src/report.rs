@@ -40,7 +40,8 @@ impl Times {
     pub(crate) fn of(updates: &[Duration], total: Duration) -> Self {
         let mut ms: Vec<f64> = updates.iter().map(|it| 1e3 * it.as_secs_f64()).collect();
         ms.sort_by(f64::total_cmp);
-        let sum: f64 = ms.iter().sum();
+        // Not `sum()`, whose empty sum is -0.
+        let sum = ms.iter().fold(0.0, |sum, x| sum + x);
         Self {
             update_s: sum / 1e3,
             mean_ms: if ms.is_empty() { 0.0 } else { sum / ms.len() as f64 },

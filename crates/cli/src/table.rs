@@ -4,7 +4,7 @@ use comfy_table::{Cell, CellAlignment, Table, presets};
 
 /// The convention of `error` and `chi2`, printed beside them.
 pub(crate) const CONVENTION: &str =
-    "error = 1/2 sum |r|^2, chi2 = sum |r|^2, r = whitened Log(z^-1 xi^-1 xj)";
+    "error = 1/2 sum |r|^2 (robust: sum rho), chi2 = sum |r|^2, r = whitened Log(z^-1 xi^-1 xj)";
 
 /// Rows of a name and a value under a title.
 #[derive(Debug)]

@@ -195,3 +195,20 @@ fn a_closed_pipe_is_no_failure() {
         assert_eq!((child.wait().unwrap().code(), err.as_str()), (Some(0), ""), "{line}");
     }
 }
+
+#[test]
+fn converting_a_matrix_that_rounding_made_indefinite_keeps_the_optimum() {
+    let folder = Folder::with(
+        "clipped.g2o",
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1.3 0.2 0.4\n\
+         EDGE_SE2 0 1 1 0 0 1.23457e+10 1.23457e+10 1.11111e+03 1.23456e+10 1.11110e+03 1.00000e-03\n\
+         EDGE_SE2 0 1 1.2 0.1 0.3 4 0 0 4 0 4\n",
+    );
+    folder.run("convert clipped.g2o clipped.txt").done();
+    let error = |file: &str| {
+        folder.run(&format!("optimize {file} --quiet --report out.json")).done();
+        folder.json("out.json")["error"].as_f64().expect("a number")
+    };
+    let (before, after) = (error("clipped.g2o"), error("clipped.txt"));
+    assert!((before - after).abs() < 1e-6 * before, "{before} became {after}");
+}

@@ -226,3 +226,36 @@ fn a_device_is_written_and_stays_a_device() {
     folder.run("replay square.g2o --report /dev/null --steps /dev/null").done();
     assert!(std::fs::metadata("/dev/null").unwrap().file_type().is_char_device());
 }
+
+#[test]
+fn a_report_that_cannot_be_written_is_found_before_the_work() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    let ran = folder.run("replay square.g2o --output map.g2o --report none/report.json");
+    ran.failed(1, &["none/report.json", "folder"]);
+    assert_eq!(folder.list(), ["square.g2o"]);
+}
+
+#[test]
+fn the_output_of_a_cut_replay_keeps_how_the_file_was_read() {
+    // Rotation weights in g2o's half angles, which TORO writes in radians: 400 becomes 100.
+    let folder = Folder::with(
+        "chain.g2o",
+        "EDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1 4 0 0 0 0 0 4 0 0 0 0 4 0 0 0 400 0 0 400 0 400\n\
+         EDGE_SE3:QUAT 1 2 1 0 0 0 0 0 1 4 0 0 0 0 0 4 0 0 0 0 4 0 0 0 400 0 0 400 0 400\n",
+    );
+    folder.run("replay chain.g2o --g2o-rotation quaternion --max-steps 2 --output cut.toro").done();
+    let cut = folder.read("cut.toro");
+    let edges: Vec<&str> = cut.lines().filter(|line| line.starts_with("EDGE3")).collect();
+    assert_eq!(edges.len(), 1, "{cut}");
+    assert!(edges[0].ends_with(" 100 0 0 100 0 100"), "{cut}");
+}
+
+#[test]
+fn the_output_of_a_cut_replay_holds_what_came_in() {
+    let folder = Folder::with("chain.g2o", &format!("{TWO_PARTS}FIX 10\n"));
+    folder.run("replay chain.g2o --max-steps 1 --output one.g2o").done();
+    let one = folder.read("one.g2o");
+    assert_eq!(one.lines().filter(|line| line.starts_with("VERTEX_SE2 10 ")).count(), 1, "{one}");
+    assert!(one.contains("FIX 10") && !one.contains("EDGE"), "{one}");
+    folder.run("info one.g2o").done();
+}

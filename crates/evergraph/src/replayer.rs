@@ -236,34 +236,18 @@ impl Replayer {
             .replay
             .ids()
             .filter_map(|(id, variable)| Some((id, estimates.value(variable).ok()?.to_value())));
-        let summary = document.summary();
-        let whole = self.replay.factors().len() == summary.pose_edges + summary.landmark_edges
-            && self.poses() == summary.poses;
-        let solution = if whole {
-            document.with_vertices(vertices)?
-        } else {
-            // A pose that has come in before all of its edges is in no record of an edge-only file.
-            let part = self.part(document)?;
-            part.with_vertices(vertices.filter(|(id, _)| part.kind(*id).is_some()))?
-        };
-        Ok(solution)
-    }
-
-    /// The records of what has come in.
-    fn part(&self, document: &Document) -> Result<Document, FormatError> {
         let lines: HashSet<usize> = self.replay.factors().iter().map(|(_, line)| *line).collect();
-        let is_in = |id, is_pose| {
-            let found = if is_pose { self.replay.pose(id) } else { self.replay.landmark(id) };
-            found.is_some()
-        };
-        let records = document.lines().iter().filter(|(line, record)| match record {
-            Record::Vertex { id, at } => is_in(*id, at.kind().is_pose()),
-            Record::Edge { .. } => lines.contains(line),
-            Record::Fix { id } => is_in(*id, true),
+        let summary = document.summary();
+        // Vertices that nothing measures come in with no step; a whole file keeps them.
+        let whole = lines.len() == summary.pose_edges + summary.landmark_edges
+            && self.poses() == summary.poses;
+        let keep = |line, record: &Record| match record {
+            Record::Vertex { .. } => whole,
+            Record::Edge { .. } => lines.contains(&line),
+            Record::Fix { id } => whole || self.replay.pose(*id).is_some(),
             Record::SensorOffset { .. } => true,
-        });
-        let records = records.map(|(_, record)| record.clone()).collect();
-        Document::from_records(document.name(), document.dialect(), records)
+        };
+        Ok(document.part_with_vertices(keep, vertices)?)
     }
 
     fn at(&self, pose: VariableId, source: SmootherError) -> ReplayerError {

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use evergraph_model::{LieGroup, Point3, Pose3, Rot3};
+use evergraph_model::{LieGroup, Noise, Point3, Pose3, Rot3};
 use nalgebra::{DMatrix, Matrix3};
 
 use crate::check;
@@ -226,7 +226,12 @@ impl<'a> Converter<'a> {
         }
         let matrix = match kind {
             WeightKind::Information => information,
-            WeightKind::SquareRoot => matrix::square_root(&information),
+            // What is clipped is clipped as the engine does, or the optimum would move.
+            WeightKind::SquareRoot => Noise::from_information_clipped(&information, f64::INFINITY)
+                .map_err(|error| check::bad(place, error.to_string()))?
+                .0
+                .sqrt_information()
+                .clone(),
             WeightKind::Covariance => {
                 let inverse = nalgebra::Cholesky::new(information).map(|c| c.inverse());
                 inverse.ok_or_else(|| {

@@ -27,16 +27,38 @@ impl Document {
         &self,
         estimates: impl IntoIterator<Item = (u64, Value)>,
     ) -> Result<Self, FormatError> {
+        self.part_with_vertices(|_, _| true, estimates)
+    }
+
+    /// [`with_vertices`](Self::with_vertices) for a part of the graph: `keep` says, by line number
+    /// and record, which edges, FIX lines and sensor offsets stay, and which vertices that have no
+    /// estimate.
+    ///
+    /// # Errors
+    /// As [`with_vertices`](Self::with_vertices), and where an edge stays without its vertices.
+    pub fn part_with_vertices(
+        &self,
+        keep: impl Fn(usize, &Record) -> bool,
+        estimates: impl IntoIterator<Item = (u64, Value)>,
+    ) -> Result<Self, FormatError> {
         let mut estimates = self.coordinates_of(estimates)?;
         let mut lines = Vec::with_capacity(self.lines.len() + estimates.len());
         let mut after_vertices = 0;
         for (line, record) in &self.lines {
             let mut record = record.clone();
-            if let Record::Vertex { id, at } = &mut record {
-                *at = estimates.remove(&slot(*id, at.kind())).unwrap_or(*at);
-                after_vertices = lines.len() + 1;
+            let mut given = false;
+            if let Record::Vertex { id, at } = &mut record
+                && let Some(estimate) = estimates.remove(&slot(*id, at.kind()))
+            {
+                *at = estimate;
+                given = true;
             }
-            lines.push((*line, record));
+            if given || keep(*line, &record) {
+                if matches!(record, Record::Vertex { .. }) {
+                    after_vertices = lines.len() + 1;
+                }
+                lines.push((*line, record));
+            }
         }
         let added = estimates.into_iter().map(|((id, _), at)| (0, Record::Vertex { id, at }));
         lines.splice(after_vertices..after_vertices, added);

@@ -218,27 +218,6 @@ pub(crate) fn information(weight: &Weight, n: usize) -> Option<DMatrix<f64>> {
     }
 }
 
-/// The upper triangular `R` with `RᵀR` equal to the information, negative eigenvalues taken as
-/// zero.
-pub(crate) fn square_root(information: &DMatrix<f64>) -> DMatrix<f64> {
-    if let Some(cholesky) = nalgebra::Cholesky::new(information.clone()) {
-        let root = cholesky.l().transpose();
-        if root.iter().all(|x| x.is_finite()) {
-            return root;
-        }
-    }
-    let eigen = information.clone().symmetric_eigen();
-    let roots = eigen.eigenvalues.map(|x| x.max(0.0).sqrt());
-    let stack = DMatrix::from_diagonal(&roots) * eigen.eigenvectors.transpose();
-    let mut r = stack.qr().r();
-    for i in 0..r.nrows() {
-        if r[(i, i)] < 0.0 {
-            r.row_mut(i).neg_mut();
-        }
-    }
-    r
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -298,17 +277,6 @@ mod tests {
             );
             assert!(matches!(check([0.0, 1.0, 0.0], &[]), Definiteness::Negative(_)));
             assert!(matches!(check([-1.0, 0.0, 1.0], &[]), Definiteness::Negative(_)));
-        }
-    }
-
-    #[test]
-    fn square_roots_square_to_the_information() {
-        let rows =
-            |entries: &[f64]| as_written(&weight(entries, EntryOrder::UpperTriangle), 2).unwrap();
-        for entries in [[4.0, 2.0, 5.0], [1.0, 1.0, 1.0], [0.0, 0.0, 3.0], [0.0, 0.0, 0.0]] {
-            let root = square_root(&rows(&entries));
-            assert!((root.transpose() * &root - rows(&entries)).amax() < 1e-14, "{root}");
-            assert_eq!(root[(1, 0)], 0.0);
         }
     }
 }

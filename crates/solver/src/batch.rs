@@ -15,7 +15,7 @@ use crate::quadratic::{
 use crate::smoother::Smoother;
 use crate::solve;
 use crate::tree::Tree;
-use crate::update::{Affected, in_place};
+use crate::update::{Affected, in_place, mark_all};
 
 /// How steps are chosen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -203,7 +203,7 @@ impl Smoother {
             let promised = decrease_of_model(&self.graph, &self.blocks, &delta);
             let negligible = settings.relative_decrease * error;
             // Written so that NaN is a failure.
-            if trial_error <= error {
+            if trial_error.is_finite() && trial_error <= error {
                 let decrease = error - trial_error;
                 self.points = trial;
                 error = trial_error;
@@ -262,7 +262,7 @@ impl Smoother {
                 let promised = decrease_of_model(&self.graph, &self.blocks, &delta);
                 let trial = retract_all(&self.graph, &self.points, &delta);
                 let trial_error = self.graph.error(&trial);
-                if trial_error <= error {
+                if trial_error.is_finite() && trial_error <= error {
                     let decrease = error - trial_error;
                     let length = scaled_norm(&delta, &scale);
                     let gain = decrease / promised;
@@ -321,7 +321,7 @@ impl Smoother {
 
     /// Eliminates all cliques again with `damping · diag(JᵀJ)` added.
     fn eliminate_in_place(&mut self, damping: f64) -> Result<(), SmootherError> {
-        let job = in_place(&self.tree, &vec![true; self.tree.slots()]);
+        let job = in_place(&self.tree, &mark_all(&self.tree));
         let added = (damping > 0.0).then(|| {
             let mut diagonal = diagonal(&self.graph, &self.blocks);
             diagonal.iter_mut().for_each(|d| *d *= damping);

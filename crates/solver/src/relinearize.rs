@@ -21,7 +21,8 @@ impl Smoother {
         if policy.batch.is_some_and(due) {
             match self.optimize(&BatchSettings::periodic()) {
                 Ok(batch) => {
-                    report.variables_relinearized = self.graph.variable_count();
+                    report.variables_relinearized =
+                        batch.iterations as usize * self.graph.variable_count();
                     report.cliques_eliminated += self.tree.len();
                     report.batch = Some(batch);
                 }
@@ -36,11 +37,14 @@ impl Smoother {
             return;
         };
         // One tolerance for both checks: what a coarse pass leaves out, a fine one does not see.
-        let checks = [policy.fluid, policy.sweep].into_iter().flatten();
-        let tolerance = checks
-            .fold(self.settings.back_substitution_tolerance, |t, check| t.min(check.threshold));
-        self.solution.refresh(&self.graph, &mut self.tree, tolerance);
-        let moved = self.moved_beyond(threshold);
+        let smallest = [policy.fluid, policy.sweep]
+            .into_iter()
+            .flatten()
+            .map(|check| check.threshold)
+            .fold(f64::INFINITY, f64::min);
+        let tolerance = self.settings.back_substitution_tolerance.min(smallest);
+        self.solution.refresh(&self.graph, &mut self.tree, tolerance, smallest);
+        let moved = self.solution.moved_beyond(&self.graph, threshold, smallest);
         if moved.is_empty() {
             return;
         }
@@ -51,14 +55,6 @@ impl Smoother {
             }
             Err(error) => report.relinearization_refused = Some(error),
         }
-    }
-
-    /// Variables whose δ has a component beyond `threshold`.
-    fn moved_beyond(&self, threshold: f64) -> Vec<u32> {
-        let far = |v: &usize| {
-            self.solution.delta[self.graph.tangent_range(*v)].iter().any(|d| d.abs() > threshold)
-        };
-        self.graph.variable_indices().filter(far).map(|v| v as u32).collect()
     }
 
     /// Moves the linearization points of `variables` by the δ of the last check, linearizes their
@@ -113,7 +109,7 @@ impl Smoother {
         let touched =
             factors.iter().flat_map(|&f| self.graph.variables_at(f as usize).iter().copied());
         let marked = mark(&self.tree, touched.chain(variables.iter().copied()));
-        let count = marked.iter().filter(|m| **m).count();
+        let count = marked.count;
         if count as f64 > REBUILD_SHARE * self.tree.len() as f64 {
             self.rebuild()?;
             return Ok(self.tree.len());

@@ -270,7 +270,6 @@ impl Smoother {
         for &clique in &affected.detached {
             self.tree.remove(clique);
         }
-        self.tree.forget_removed_roots();
         let mut index_of = Vec::with_capacity(job.nodes.len());
         for (node, numeric) in job.nodes.into_iter().zip(eliminated.nodes) {
             let NodeStructure::New(structure) = node.structure else {
@@ -291,7 +290,7 @@ impl Smoother {
                 self.tree.clique_mut(child).parent = index;
             }
             if node.parent.is_none() {
-                self.tree.roots.push(index);
+                self.tree.roots.insert(index);
             }
             index_of.push(index);
         }

@@ -122,6 +122,9 @@ pub(crate) struct State {
     /// By variable slot: the time when δ last changed by more than the tolerance.
     changed: Vec<u64>,
     clock: u64,
+    /// Variables with a component of δ beyond the threshold of the last refreshes, perhaps more
+    /// than once or no longer; see [`State::moved_beyond`].
+    far: Vec<u32>,
     scratch: Vec<f64>,
 }
 
@@ -140,10 +143,16 @@ impl State {
 
     /// Solves cliques that are new, or whose separator has moved by more than `tolerance` since
     /// they were last solved; by running intersection the subtree of any other clique is left
-    /// alone.
-    pub(crate) fn refresh(&mut self, graph: &Graph, tree: &mut Tree, tolerance: f64) {
+    /// alone. Remembers what lies beyond `threshold`.
+    pub(crate) fn refresh(
+        &mut self,
+        graph: &Graph,
+        tree: &mut Tree,
+        tolerance: f64,
+        threshold: f64,
+    ) {
         self.clock += 1;
-        let mut stack: Vec<u32> = tree.roots.clone();
+        let mut stack: Vec<u32> = tree.roots.iter().copied().collect();
         while let Some(index) = stack.pop() {
             let clique = tree.clique(index);
             let separator = &clique.structure.separator;
@@ -167,11 +176,33 @@ impl State {
                 if moved {
                     old.copy_from_slice(new);
                     self.changed[v as usize] = self.clock;
+                    if new.iter().any(|x| x.abs() > threshold) {
+                        self.far.push(v);
+                    }
                 }
             }
             self.scratch = scratch;
             stack.extend(clique.children.iter().copied());
             tree.clique_mut(index).solved = self.clock;
         }
+    }
+
+    /// Variables whose δ has a component beyond `threshold`, ascending; `smallest` is the threshold
+    /// that every refresh was given. Costs what has moved, not the whole graph.
+    pub(crate) fn moved_beyond(
+        &mut self,
+        graph: &Graph,
+        threshold: f64,
+        smallest: f64,
+    ) -> Vec<u32> {
+        let delta = &self.delta;
+        let beyond = |v: u32, limit: f64| {
+            graph.is_variable_at(v as usize)
+                && delta[graph.tangent_range(v as usize)].iter().any(|d| d.abs() > limit)
+        };
+        self.far.sort_unstable();
+        self.far.dedup();
+        self.far.retain(|&v| beyond(v, smallest));
+        self.far.iter().copied().filter(|&v| beyond(v, threshold)).collect()
     }
 }

@@ -3,6 +3,7 @@
 //! A clique eliminates its *frontal* variables given its *separator*; the separator's variables
 //! are frontal further up. Factors belong to the clique of their first-eliminated variable.
 
+use std::collections::BTreeSet;
 use std::hash::{Hash, Hasher};
 
 use smallvec::SmallVec;
@@ -87,7 +88,7 @@ pub(crate) struct Tree {
     free: Vec<u32>,
     /// By variable slot.
     clique_of: Vec<u32>,
-    pub(crate) roots: Vec<u32>,
+    pub(crate) roots: BTreeSet<u32>,
 }
 
 impl Tree {
@@ -134,16 +135,11 @@ impl Tree {
     pub(crate) fn remove(&mut self, index: u32) -> Option<Clique> {
         let clique = self.cliques[index as usize].take()?;
         self.free.push(index);
+        self.roots.remove(&index);
         for &v in &clique.structure.frontals {
             self.clique_of[v as usize] = NONE;
         }
         Some(clique)
-    }
-
-    /// Keeps in `roots` only cliques that are still there.
-    pub(crate) fn forget_removed_roots(&mut self) {
-        let cliques = &self.cliques;
-        self.roots.retain(|&c| cliques[c as usize].is_some());
     }
 
     /// All cliques, parents before children, roots in their order.

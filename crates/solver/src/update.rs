@@ -22,28 +22,49 @@ pub(crate) struct Affected {
     pub(crate) factors: Vec<u32>,
 }
 
+/// A set of cliques closed towards the roots.
+#[derive(Debug)]
+pub(crate) struct Marked {
+    /// By clique slot.
+    flags: Vec<bool>,
+    /// The roots among them, in the order they were reached.
+    roots: Vec<u32>,
+    pub(crate) count: usize,
+}
+
 /// Marks the cliques of `touched` variables and all of their ancestors.
-pub(crate) fn mark(tree: &Tree, touched: impl IntoIterator<Item = u32>) -> Vec<bool> {
-    let mut marked = vec![false; tree.slots()];
+pub(crate) fn mark(tree: &Tree, touched: impl IntoIterator<Item = u32>) -> Marked {
+    let mut marked = Marked { flags: vec![false; tree.slots()], roots: Vec::new(), count: 0 };
     for variable in touched {
         let mut clique = tree.clique_of(variable);
-        while clique != NONE && !marked[clique as usize] {
-            marked[clique as usize] = true;
-            clique = tree.clique(clique).parent;
+        while clique != NONE && !marked.flags[clique as usize] {
+            marked.flags[clique as usize] = true;
+            marked.count += 1;
+            let parent = tree.clique(clique).parent;
+            if parent == NONE {
+                marked.roots.push(clique);
+            }
+            clique = parent;
         }
     }
     marked
 }
 
+/// Marks every clique.
+pub(crate) fn mark_all(tree: &Tree) -> Marked {
+    let roots = tree.roots.iter().copied().collect();
+    Marked { flags: vec![true; tree.slots()], roots, count: tree.len() }
+}
+
 /// The marked cliques (a set closed towards the roots), children before parents, and the kept
 /// cliques below them. Recursion is on an explicit stack: elimination trees of chains are deep.
-pub(crate) fn marked_postorder(tree: &Tree, marked: &[bool]) -> (Vec<u32>, Vec<u32>) {
+fn marked_postorder(tree: &Tree, marked: &Marked) -> (Vec<u32>, Vec<u32>) {
     let (mut reversed, mut orphans) = (Vec::new(), Vec::new());
-    let mut stack: Vec<u32> = tree.roots.iter().copied().filter(|&c| marked[c as usize]).collect();
+    let mut stack = marked.roots.clone();
     while let Some(clique) = stack.pop() {
         reversed.push(clique);
         for &child in &tree.clique(clique).children {
-            if marked[child as usize] {
+            if marked.flags[child as usize] {
                 stack.push(child);
             } else {
                 orphans.push(child);
@@ -83,10 +104,10 @@ impl Affected {
 
     /// Everything: for a new order of the whole graph.
     pub(crate) fn everything(tree: &Tree) -> Self {
-        Self::above(tree, &vec![true; tree.slots()])
+        Self::above(tree, &mark_all(tree))
     }
 
-    fn above(tree: &Tree, marked: &[bool]) -> Self {
+    fn above(tree: &Tree, marked: &Marked) -> Self {
         let (detached, orphans) = marked_postorder(tree, marked);
         let (mut variables, mut factors) = (Vec::new(), Vec::new());
         for &clique in &detached {
@@ -170,7 +191,7 @@ impl Affected {
 }
 
 /// A job that eliminates existing cliques (a set closed towards the roots) again, in place.
-pub(crate) fn in_place(tree: &Tree, marked: &[bool]) -> Job {
+pub(crate) fn in_place(tree: &Tree, marked: &Marked) -> Job {
     let (cliques, _) = marked_postorder(tree, marked);
     let mut node_of = vec![usize::MAX; tree.slots()];
     for (i, &clique) in cliques.iter().enumerate() {
@@ -186,7 +207,7 @@ pub(crate) fn in_place(tree: &Tree, marked: &[bool]) -> Job {
                     .children
                     .iter()
                     .map(|&c| {
-                        if marked[c as usize] {
+                        if marked.flags[c as usize] {
                             Child::Node(node_of[c as usize])
                         } else {
                             Child::Kept(c)
