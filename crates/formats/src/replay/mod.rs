@@ -94,8 +94,9 @@ pub struct Step {
 /// pose is k. TORO and iSAM files are in time order: a step is one new pose and every line up to the
 /// next new pose. Edges to landmarks belong to their pose. A pose without an edge to a pose that is
 /// present, and not the first of its connected component, is held back with its edges until an edge
-/// connects it. Poses that only landmarks tie to the rest come last, all that are tied together in
-/// one step; they start from the vertex of the first of them, or at the origin. Landmarks that no
+/// connects it. Poses that only landmarks tie to the rest come last, a step for each part that is
+/// tied together by edges between poses; they start from the vertex of the first of them, or at the
+/// origin. Where such a part is only determined together with a later one, its step is refused. Landmarks that no
 /// pose sees are left out.
 ///
 /// **Start values.** A pose starts from the current estimate of the other end of its odometry edge:
