@@ -1,8 +1,10 @@
 //! Every Jacobian against central differences at a thousand points, with rotations near zero and
 //! near half a turn among them.
 
-// The lint knows tests by their attribute; the generic helpers here have none.
-#![allow(clippy::unwrap_used)]
+#![allow(
+    clippy::unwrap_used,
+    reason = "the lint knows tests by their attribute; the generic helpers here have none"
+)]
 
 mod common;
 

@@ -9,7 +9,7 @@ use thiserror::Error;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Elimination {
-    /// Normal equations per clique. Several times faster; where a pivot has lost its digits,
+    /// Normal equations per clique. Faster, most of all in 3D; where a pivot has lost its digits,
     /// that subtree is eliminated again by QR.
     #[default]
     Cholesky,

@@ -1,5 +1,5 @@
 //! Seeded random variables and measurements, with the hard angles among them.
-#![allow(dead_code)]
+#![allow(dead_code, reason = "each test program uses its own part")]
 
 use std::f64::consts::PI;
 

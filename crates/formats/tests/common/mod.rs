@@ -1,5 +1,6 @@
 //! Shared graph files for tests.
-#![allow(dead_code, clippy::print_stdout)]
+#![allow(dead_code, reason = "each test program uses its own part")]
+#![allow(clippy::print_stdout, reason = "a test says what it skipped or saw")]
 
 use std::path::{Path, PathBuf};
 

@@ -5,7 +5,7 @@ use faer::linalg::qr::no_pivoting::factor::{
 };
 use faer::{Mat, MatMut, Par, Spec};
 
-/// Below this many columns the plain loop is faster than a blocked factorization.
+/// From this many columns on a blocked factorization is used.
 const BLOCKED: usize = 48;
 
 /// Replaces the `m` × `n` column-major `a` by its triangular factor (upper trapezoidal, `Qᵀa`);

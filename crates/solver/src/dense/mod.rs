@@ -10,5 +10,5 @@ mod householder;
 pub(crate) use cholesky::{BadPivot, PivotBound, partial_cholesky, select_arch};
 pub(crate) use householder::triangularize;
 
-/// Fronts with more columns than this go to faer; the kernels are on a par between 200 and 400.
+/// Fronts with more columns than this go to faer, which blocks for the caches.
 const LARGE: usize = 320;

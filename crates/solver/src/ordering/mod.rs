@@ -1,8 +1,7 @@
 //! In which order variables are eliminated, and what each elimination touches.
 //!
-//! An order is found on the graph of *variables* (not scalars). Its quality decides everything: in
-//! replays of real graphs, keeping an old order and appending to it costs 12 to 27 times the
-//! arithmetic of a fresh one.
+//! An order is found on the graph of *variables* (not scalars), anew for the affected part in each
+//! update: appending to an old order keeps the fill of every order before it.
 
 mod amd;
 mod minimum_degree;
