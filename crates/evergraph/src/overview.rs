@@ -96,6 +96,9 @@ fn name(record: &Record) -> String {
         Record::Edge { measurement, .. } => format!("sightings of a {}", measurement.kind().name()),
         Record::Fix { .. } => "fixed poses".into(),
         Record::SensorOffset { .. } => "sensor offsets".into(),
+        Record::GeodeticOrigin { .. } => "geodetic origins".into(),
+        Record::Linear(_) => "linear factors".into(),
+        Record::Measurement(measurement) => format!("{:?}", measurement.quantity),
     }
 }
 

@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 use std::time::{Duration, Instant};
 
-use evergraph_formats::{Document, FormatError, Record, Replay, ReplayOptions, Step};
+use evergraph_formats::{Document, FormatError, Line, Record, Replay, ReplayOptions, Step};
 use evergraph_model::{FactorId, Graph, Value, VariableId};
 use evergraph_solver::{
     BatchSettings, Method, Reason, Report, Settings, Smoother, SmootherError, Status,
@@ -239,13 +239,16 @@ impl Replayer {
         let lines: HashSet<usize> = self.replay.factors().iter().map(|(_, line)| *line).collect();
         let summary = document.summary();
         // Vertices that nothing measures come in with no step; a whole file keeps them.
-        let whole = lines.len() == summary.pose_edges + summary.landmark_edges
+        let whole = lines.len()
+            == summary.pose_edges + summary.landmark_edges + summary.measurements
             && self.poses() == summary.poses;
-        let keep = |line, record: &Record| match record {
+        let keep = |line: &Line| match &line.record {
             Record::Vertex { .. } => whole,
-            Record::Edge { .. } => lines.contains(&line),
+            Record::Edge { .. } | Record::Measurement(_) | Record::Linear(_) => {
+                lines.contains(&line.number)
+            }
             Record::Fix { id } => whole || self.replay.pose(*id).is_some(),
-            Record::SensorOffset { .. } => true,
+            Record::SensorOffset { .. } | Record::GeodeticOrigin { .. } => true,
         };
         Ok(document.part_with_vertices(keep, vertices)?)
     }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::error::{Field, FormatError, Place};
 use crate::matrix::{self, Definiteness};
-use crate::record::{Coordinates, Kind, Record, Weight, WeightKind};
+use crate::record::{Coordinates, Kind, Line, Record, Weight, WeightKind};
 
 /// What was found in a record that can be used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -48,6 +48,7 @@ pub(crate) fn inspect<'a>(
             finding.clipped = inspect_weight(weight, measurement.kind().dim(), tag, place, texts)?;
         }
         Record::Fix { .. } => {}
+        Record::Measurement(_) | Record::Linear(_) | Record::GeodeticOrigin { .. } => {}
     }
     Ok(finding)
 }
@@ -133,7 +134,7 @@ pub(crate) fn slot(id: u64, kind: Kind) -> (u64, bool) {
 /// `reject` may stop everything by returning the error.
 pub(crate) fn reconcile(
     file: &Arc<str>,
-    lines: &mut Vec<(usize, Record)>,
+    lines: &mut Vec<Line>,
     numbered_apart: bool,
     mut reject: impl FnMut(FormatError) -> Result<(), FormatError>,
 ) -> Result<Kinds, FormatError> {
@@ -153,7 +154,7 @@ pub(crate) fn reconcile(
     let place = |line| Place { file: Arc::clone(file), line };
 
     // 1. Vertices and sensor offsets, each once.
-    lines.retain(|(line, record)| {
+    lines.retain(|Line { number: line, record, .. }| {
         let (what, id, first) = match record {
             Record::Vertex { id, at } => {
                 kinds.entry(slot(*id, at.kind())).or_insert(at.kind());
@@ -172,7 +173,7 @@ pub(crate) fn reconcile(
 
     // 2. Edges: to what is there, and from a pose to what it can see.
     let has_vertices = !kinds.is_empty();
-    lines.retain(|(line, record)| {
+    lines.retain(|Line { number: line, record, .. }| {
         let Record::Edge { from, to, measurement, parameter, .. } = record else { return true };
         let seen = measurement.kind();
         keep((|| {
@@ -212,7 +213,7 @@ pub(crate) fn reconcile(
     });
 
     // 3. What is fixed: poses that are there.
-    lines.retain(|(line, record)| {
+    lines.retain(|Line { number: line, record, .. }| {
         let Record::Fix { id } = record else { return true };
         keep(match kinds.get(&(*id, true)).or(kinds.get(&(*id, false))) {
             Some(kind) if kind.is_pose() => Ok(()),

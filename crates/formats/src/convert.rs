@@ -113,6 +113,9 @@ impl<'a> Converter<'a> {
             | Record::Edge {
                 measurement: Coordinates::Point2(_) | Coordinates::Point3(_), ..
             } if self.target == Dialect::Toro => unsupported("landmarks"),
+            Record::Measurement(_) | Record::Linear(_) | Record::GeodeticOrigin { .. } => {
+                unsupported("this measurement")
+            }
             Record::Fix { id } => Ok(Some(Record::Fix { id: *id })),
             Record::Vertex { id, at } => {
                 let id = self.id(*id, at.kind());

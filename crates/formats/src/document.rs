@@ -10,7 +10,7 @@ use crate::check::{self, Finding, Kinds};
 use crate::error::{FormatError, Place};
 use crate::options::{Dialect, G2oRotation, ReadOptions};
 use crate::parse;
-use crate::record::{Kind, Record, WeightKind};
+use crate::record::{Kind, Line, Record, WeightKind};
 
 /// The records of a graph file, in the order of its lines and in the file's own numbers.
 ///
@@ -33,7 +33,7 @@ pub struct Document {
     pub(crate) dialect: Dialect,
     pub(crate) isam_matrix: WeightKind,
     pub(crate) g2o_rotation: G2oRotation,
-    pub(crate) lines: Vec<(usize, Record)>,
+    pub(crate) lines: Vec<Line>,
     pub(crate) kinds: Kinds,
     pub(crate) summary: Summary,
     pub(crate) skipped: Vec<Skipped>,
@@ -54,6 +54,8 @@ pub struct Summary {
     pub pose_edges: usize,
     /// Observations of landmarks.
     pub landmark_edges: usize,
+    /// Any other factors: priors, positions, ranges, bearings, partial states, linear factors.
+    pub measurements: usize,
     /// Ids that FIX lines name.
     pub fixed: usize,
     /// PARAMS lines.
@@ -107,7 +109,7 @@ pub struct Skipped {
 #[derive(Default)]
 pub(crate) struct Contents {
     pub dialect: Option<Dialect>,
-    pub lines: Vec<(usize, Record)>,
+    pub lines: Vec<Line>,
     pub total_lines: usize,
     pub summary: Summary,
     pub skipped: Vec<Skipped>,
@@ -174,18 +176,18 @@ impl Document {
     pub fn from_records(
         name: &str,
         dialect: Dialect,
-        records: Vec<Record>,
+        records: impl IntoIterator<Item = impl Into<Line>>,
     ) -> Result<Self, FormatError> {
         let name: Arc<str> = name.into();
         let mut contents = Contents { dialect: Some(dialect), ..Contents::default() };
-        for (index, record) in records.iter().enumerate() {
-            let place = Place { file: Arc::clone(&name), line: index + 1 };
-            let finding = check::inspect(record, record.name(), &place, Vec::new)?;
+        for (index, record) in records.into_iter().enumerate() {
+            let line = Line { number: index + 1, ..record.into() };
+            let place = Place { file: Arc::clone(&name), line: line.number };
+            let finding = check::inspect(&line.record, line.record.name(), &place, Vec::new)?;
             contents.note(finding);
+            contents.lines.push(line);
         }
-        contents.total_lines = records.len();
-        contents.lines =
-            records.into_iter().enumerate().map(|(index, record)| (index + 1, record)).collect();
+        contents.total_lines = contents.lines.len();
         Self::reconcile(name, contents, &ReadOptions::default())
     }
 
@@ -226,14 +228,14 @@ impl Document {
         self.dialect
     }
 
-    /// The records with the lines they stand in; 0 for a record that was added later.
-    pub fn lines(&self) -> &[(usize, Record)] {
+    /// The records with the lines they stand in.
+    pub fn lines(&self) -> &[Line] {
         &self.lines
     }
 
     /// The records.
     pub fn records(&self) -> impl ExactSizeIterator<Item = &Record> {
-        self.lines.iter().map(|(_, record)| record)
+        self.lines.iter().map(|line| &line.record)
     }
 
     /// What there is, counted.
@@ -266,13 +268,13 @@ impl Document {
 }
 
 impl Summary {
-    pub(crate) fn count(&mut self, lines: &[(usize, Record)], kinds: &Kinds) {
+    pub(crate) fn count(&mut self, lines: &[Line], kinds: &Kinds) {
         self.poses = kinds.values().filter(|kind| kind.is_pose()).count();
         self.landmarks = kinds.len() - self.poses;
         (self.vertices, self.pose_edges, self.landmark_edges) = (0, 0, 0);
-        (self.fixed, self.offsets) = (0, 0);
-        for (_, record) in lines {
-            let counter = match record {
+        (self.fixed, self.offsets, self.measurements) = (0, 0, 0);
+        for line in lines {
+            let counter = match &line.record {
                 Record::Vertex { .. } => &mut self.vertices,
                 Record::Edge { measurement, .. } if measurement.kind().is_pose() => {
                     &mut self.pose_edges
@@ -280,6 +282,8 @@ impl Summary {
                 Record::Edge { .. } => &mut self.landmark_edges,
                 Record::Fix { .. } => &mut self.fixed,
                 Record::SensorOffset { .. } => &mut self.offsets,
+                Record::Measurement(_) | Record::Linear(_) => &mut self.measurements,
+                Record::GeodeticOrigin { .. } => continue,
             };
             *counter += 1;
         }

@@ -10,7 +10,7 @@ use crate::convert;
 use crate::document::{Contents, Document};
 use crate::error::FormatError;
 use crate::options::{Dialect, ReadOptions};
-use crate::record::{Coordinates, Record};
+use crate::record::{Coordinates, Line, Record};
 
 impl Document {
     /// The same graph with these values as its vertices.
@@ -27,40 +27,40 @@ impl Document {
         &self,
         estimates: impl IntoIterator<Item = (u64, Value)>,
     ) -> Result<Self, FormatError> {
-        self.part_with_vertices(|_, _| true, estimates)
+        self.part_with_vertices(|_| true, estimates)
     }
 
-    /// [`with_vertices`](Self::with_vertices) for a part of the graph: `keep` says, by line number
-    /// and record, which edges, FIX lines and sensor offsets stay, and which vertices that have no
+    /// [`with_vertices`](Self::with_vertices) for a part of the graph: `keep` says which edges, FIX lines and sensor offsets stay, and which vertices that have no
     /// estimate.
     ///
     /// # Errors
     /// As [`with_vertices`](Self::with_vertices), and where an edge stays without its vertices.
     pub fn part_with_vertices(
         &self,
-        keep: impl Fn(usize, &Record) -> bool,
+        keep: impl Fn(&Line) -> bool,
         estimates: impl IntoIterator<Item = (u64, Value)>,
     ) -> Result<Self, FormatError> {
         let mut estimates = self.coordinates_of(estimates)?;
         let mut lines = Vec::with_capacity(self.lines.len() + estimates.len());
         let mut after_vertices = 0;
-        for (line, record) in &self.lines {
-            let mut record = record.clone();
+        for line in &self.lines {
+            let mut line = line.clone();
             let mut given = false;
-            if let Record::Vertex { id, at } = &mut record
+            if let Record::Vertex { id, at } = &mut line.record
                 && let Some(estimate) = estimates.remove(&slot(*id, at.kind()))
             {
                 *at = estimate;
                 given = true;
             }
-            if given || keep(*line, &record) {
-                if matches!(record, Record::Vertex { .. }) {
+            if given || keep(&line) {
+                if matches!(line.record, Record::Vertex { .. }) {
                     after_vertices = lines.len() + 1;
                 }
-                lines.push((*line, record));
+                lines.push(line);
             }
         }
-        let added = estimates.into_iter().map(|((id, _), at)| (0, Record::Vertex { id, at }));
+        let added =
+            estimates.into_iter().map(|((id, _), at)| Line::from(Record::Vertex { id, at }));
         lines.splice(after_vertices..after_vertices, added);
 
         let options = ReadOptions {

@@ -64,6 +64,7 @@ mod document;
 mod error;
 mod estimate;
 mod matrix;
+mod measurement;
 mod options;
 mod parse;
 mod record;
@@ -73,7 +74,8 @@ mod write;
 
 pub use document::{Document, Skipped, Summary};
 pub use error::{Field, FormatError, Place};
+pub use measurement::{LinearMeasurement, Measurement, Quantity};
 pub use options::{Dialect, G2oRotation, ReadOptions};
-pub use record::{Coordinates, EntryOrder, Kind, Record, Weight, WeightKind};
+pub use record::{Coordinates, EntryOrder, Kind, Line, Record, Weight, WeightKind};
 pub use replay::{GaugePrior, Initial, Replay, ReplayOptions, Step, StepKind};
 pub use write::Written;

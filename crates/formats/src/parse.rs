@@ -7,7 +7,7 @@ use crate::check;
 use crate::document::{Contents, Skipped};
 use crate::error::{FormatError, Place, excerpt};
 use crate::options::{Dialect, ReadOptions};
-use crate::record::{Record, WeightKind};
+use crate::record::{Line, Record, WeightKind};
 use crate::tags::{IGNORED, TAGS, Tag};
 
 /// The longest line that is read. Laser scans take a few kilobytes, graph lines a few hundred bytes.
@@ -149,7 +149,8 @@ impl Parser<'_> {
             };
             let finding = check::inspect(&record, tag.name, place, texts)?;
             self.contents.note(finding);
-            self.contents.lines.push((place.line, record));
+            let number = place.line;
+            self.contents.lines.push(Line { number, ..record.into() });
         }
         if self.dialect.is_none() {
             self.dialect = Some((tag.dialect, Some((place.line, tag.name))));

@@ -1,8 +1,31 @@
 //! What a line of a graph file says, in the file's own numbers.
 
+use evergraph_model::Kernel;
 use smallvec::SmallVec;
 
-/// One line.
+use crate::measurement::{LinearMeasurement, Measurement};
+
+/// A line of a graph file: what it says, and what the file says about it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Line {
+    /// The line, from 1; 0 for a record that was added later.
+    pub number: usize,
+    /// When, in seconds, where the file says so (PyFactorGraph).
+    pub time: Option<f64>,
+    /// The robust kernel that the factor stands under; `None` for anything but a factor.
+    pub kernel: Option<Kernel>,
+    /// What it says.
+    pub record: Record,
+}
+
+impl From<Record> for Line {
+    /// A record of no file, without time and kernel.
+    fn from(record: Record) -> Self {
+        Self { number: 0, time: None, kernel: None, record }
+    }
+}
+
+/// What a line says.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Record {
     /// A variable with the value that the file gives for it.
@@ -36,6 +59,20 @@ pub enum Record {
         id: u64,
         /// `robot_from_sensor`.
         at: Coordinates,
+    },
+    /// Any other measurement of one variable or of two.
+    Measurement(Box<Measurement>),
+    /// A linear (GLC) factor on any number of variables.
+    Linear(Box<LinearMeasurement>),
+    /// `GEODETIC_ORIGIN`: where on the earth the origin of the world is, its axes pointing east,
+    /// north and up (WGS 84).
+    GeodeticOrigin {
+        /// Geodetic latitude, degrees north.
+        latitude: f64,
+        /// Longitude, degrees east.
+        longitude: f64,
+        /// Height above the ellipsoid, metres.
+        height: f64,
     },
 }
 
@@ -156,11 +193,32 @@ impl Coordinates {
 }
 
 impl Record {
+    /// Whether it is a factor: an edge, any other measurement, or a linear factor.
+    pub fn is_factor(&self) -> bool {
+        matches!(self, Self::Edge { .. } | Self::Measurement(_) | Self::Linear(_))
+    }
+
+    /// The variables of a factor, in its order; empty for any other record.
+    pub fn ends(&self) -> SmallVec<[(u64, Kind); 2]> {
+        match self {
+            Self::Edge { from, to, measurement, .. } => {
+                let kind = measurement.kind();
+                SmallVec::from_slice(&[(*from, kind.observer()), (*to, kind)])
+            }
+            Self::Measurement(measurement) => measurement.ends.clone(),
+            Self::Linear(linear) => linear.points.iter().map(|(id, at)| (*id, at.kind())).collect(),
+            _ => SmallVec::new(),
+        }
+    }
+
     /// The tag that messages use, g2o's.
     pub(crate) fn name(&self) -> &'static str {
         match self {
             Self::Fix { .. } => "FIX",
             Self::SensorOffset { .. } => "PARAMS_SE3OFFSET",
+            Self::GeodeticOrigin { .. } => "GEODETIC_ORIGIN",
+            Self::Linear(_) => "FACTOR_LINEAR",
+            Self::Measurement(measurement) => measurement.tag(),
             Self::Vertex { at, .. } => match at.kind() {
                 Kind::Pose2 => "VERTEX_SE2",
                 Kind::Pose3 => "VERTEX_SE3:QUAT",

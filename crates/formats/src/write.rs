@@ -10,7 +10,7 @@ use crate::convert::Converter;
 use crate::document::Document;
 use crate::error::FormatError;
 use crate::options::Dialect;
-use crate::record::{Coordinates, Record};
+use crate::record::{Coordinates, Line, Record};
 use crate::replay::{Replay, ReplayOptions};
 use crate::tags::{Shape, TAGS, Tag};
 
@@ -72,7 +72,7 @@ impl Document {
             if vertices_first { &[Some(true), Some(false)] } else { &[None] };
         let mut dropped_vertices = 0;
         for &pass in passes {
-            for (line, record) in &self.lines {
+            for Line { number: line, record, .. } in &self.lines {
                 let is_vertex = matches!(record, Record::Vertex { .. });
                 if pass.is_some_and(|vertices| vertices != is_vertex) {
                     continue;
@@ -165,6 +165,7 @@ fn format_record(text: &mut String, tag: &Tag, record: &Record) {
             parameter.map(&mut id);
             (measurement.numbers(), &weight.entries)
         }
+        _ => (&[], &[]),
     };
     for &x in coordinates.iter().chain(entries) {
         text.push(' ');

@@ -155,7 +155,7 @@ fn shuffled_g2o_files_arrive_by_id() {
         for (at, step) in run.steps.iter().enumerate() {
             step_of_line.extend(lines.by_ref().take(step.factors).map(|line| (line, at)));
         }
-        for (line, record) in document.lines() {
+        for evergraph_formats::Line { number: line, record, .. } in document.lines() {
             if let Record::Edge { from, to, measurement, .. } = record {
                 let last = if measurement.kind().is_pose() { from.max(to) } else { from };
                 assert_eq!(step_of_line[line], arrived_at[last], "{name}:{line}");

@@ -19,6 +19,7 @@ fn bits(record: &Record) -> (String, Vec<u64>, Vec<u64>) {
             of(measurement),
             entries(weight),
         ),
+        other => (format!("{other:?}"), vec![], vec![]),
     }
 }
 

@@ -14,7 +14,7 @@ use crate::convert;
 use crate::document::Document;
 use crate::error::{FormatError, Place};
 use crate::options::Dialect;
-use crate::record::Record;
+use crate::record::{Line, Record};
 use measure::{Geometry, Handle, Measured};
 use order::{By, Link, Node, Planned};
 
@@ -207,10 +207,11 @@ impl Replay {
             }
         }
         let missing = |place: &Place, id| FormatError::MissingVertex { place: place.clone(), id };
-        for (line, record) in document.lines() {
+        for Line { number: line, record, .. } in document.lines() {
             let place = document.place(*line);
             match record {
-                Record::SensorOffset { .. } => {}
+                Record::SensorOffset { .. } | Record::GeodeticOrigin { .. } => {}
+                Record::Measurement(_) | Record::Linear(_) => {}
                 Record::Vertex { id, at } => {
                     let node = self
                         .places
