@@ -13,6 +13,7 @@
 
 mod oracle;
 mod replay;
+pub mod world;
 
 pub use oracle::check_against_batch;
 pub use replay::{References, read, replay};

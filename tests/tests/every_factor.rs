@@ -1,0 +1,76 @@
+//! Random sequences of operations, good and bad, on graphs of every kind of variable and factor in
+//! the plane and in space, each operation checked against an independent batch solution.
+//!
+//! `PROPTEST_CASES=1280` makes it 100,000 operations; what runs by default is a tenth of that.
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::cell::RefCell;
+use std::env;
+
+use evergraph::prelude::*;
+use evergraph_tests::check_against_batch;
+use evergraph_tests::world::{MAKERS, Operation, World};
+use proptest::prelude::*;
+use proptest::test_runner::{FileFailurePersistence, TestRunner};
+
+fn operation() -> impl Strategy<Value = Operation> {
+    let any = any::<usize>;
+    prop_oneof![
+        6 => (any::<u8>(), any(), -0.6..0.6_f64)
+            .prop_map(|(kind, from, turn)| Operation::Extend { kind, from, turn }),
+        3 => (any(), any()).prop_map(|(maker, pick)| Operation::Weak { maker, pick }),
+        10 => (any(), any(), any::<bool>())
+            .prop_map(|(maker, pick, robust)| Operation::Measure { maker, pick, robust }),
+        2 => any().prop_map(Operation::DropFactor),
+        2 => any().prop_map(Operation::DropVariable),
+        1 => any().prop_map(Operation::Replace),
+        1 => any().prop_map(Operation::Move),
+        2 => any::<u8>().prop_map(Operation::Fail),
+        1 => Just(Operation::Relinearize),
+        1 => Just(Operation::Optimize),
+    ]
+}
+
+fn any_sequence(elimination: Elimination) {
+    let cases = env::var("PROPTEST_CASES").map_or(128, |cases| cases.parse().unwrap());
+    let persistence = FileFailurePersistence::Direct(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/proptest-regressions/every_factor.txt"
+    ));
+    let config = ProptestConfig {
+        cases,
+        failure_persistence: Some(Box::new(persistence)),
+        ..ProptestConfig::default()
+    };
+    let applied = RefCell::new(vec![0; MAKERS.len()]);
+    let (performed, refused) = (RefCell::new(0), RefCell::new(0));
+    let sequences = prop::collection::vec(operation(), 1..80);
+    let outcome = TestRunner::new(config).run(&sequences, |operations| {
+        let mut world = World::new(elimination);
+        for (step, operation) in operations.iter().enumerate() {
+            world.run(operation);
+            check_against_batch(&world.smoother, &format!("step {step}, {operation:?}"));
+        }
+        *performed.borrow_mut() += operations.len();
+        *refused.borrow_mut() += world.refused;
+        let mut applied = applied.borrow_mut();
+        applied.iter_mut().zip(&world.applied).for_each(|(sum, count)| *sum += count);
+        Ok(())
+    });
+    outcome.unwrap_or_else(|error| panic!("{error}"));
+    println!("{} operations, {} of them refused", performed.borrow(), refused.borrow());
+    if cases >= 128 {
+        let never: Vec<_> = World::never_applied(&applied.borrow()).collect();
+        assert!(never.is_empty(), "no sequence applied {never:?}");
+    }
+}
+
+#[test]
+fn any_sequence_with_cholesky() {
+    any_sequence(Elimination::Cholesky);
+}
+
+#[test]
+fn any_sequence_with_qr() {
+    any_sequence(Elimination::Qr);
+}
