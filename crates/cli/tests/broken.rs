@@ -200,7 +200,9 @@ fn check(bytes: &[u8], line: &str, end: &End) -> Result<(), String> {
     let (out, err) =
         (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
     let told = format!("code {:?}, {out}{err}", output.status.code());
-    let missing = |text: &str, parts: &[&str]| parts.iter().find(|p| !text.contains(**p)).map(|p| p.to_string());
+    let missing = |text: &str, parts: &[&str]| {
+        parts.iter().find(|p| !text.contains(**p)).map(|p| p.to_string())
+    };
     if err.contains("panicked") || folder.list() != before {
         return Err(told);
     }

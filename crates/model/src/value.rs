@@ -51,6 +51,15 @@ impl Value {
     pub fn storage(&self) -> &[f64] {
         &self.storage
     }
+
+    /// The value moved by a tangent vector: [`Manifold::retract`]. `None` when the vector has
+    /// another length than [`dim`](Self::dim).
+    pub fn retract(&self, delta: &[f64]) -> Option<Self> {
+        let mut moved = self.clone();
+        (delta.len() == self.dim)
+            .then(|| self.kind.retract(&self.storage, delta, &mut moved.storage))?;
+        Some(moved)
+    }
 }
 
 /// A borrowed [`Value`].

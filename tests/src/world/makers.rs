@@ -17,8 +17,10 @@ pub struct Maker {
     pub name: &'static str,
     /// The variables that it takes.
     pub kinds: &'static [Kind],
-    make: fn(&[Variable], &mut Wiggle, Option<Kernel>) -> Arc<dyn Factor>,
+    make: Make,
 }
+
+type Make = fn(&[Variable], &mut Wiggle, Option<Kernel>) -> Arc<dyn Factor>;
 
 impl Maker {
     /// Takes the measurement, under the kernel if there is one.
@@ -90,7 +92,7 @@ fn linear(variables: &[Variable], wiggle: &mut Wiggle, shift: RootShift) -> Line
         .map(|variable| {
             let truth = variable.truth();
             let step = wiggle.vector(truth.dim(), 0.05);
-            (variable.id(), truth.retract(&step))
+            (variable.id(), truth.retract(&step).expect("the step has its dimension"))
         })
         .collect();
     let width: usize = points.iter().map(|(_, value)| value.dim()).sum();

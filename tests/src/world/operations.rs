@@ -135,6 +135,9 @@ impl World {
     /// When something is accepted that must not be, refused for a reason that does not hold, or
     /// leaves anything behind though it was refused.
     pub fn run(&mut self, operation: &Operation) {
+        if self.variables.is_empty() && !matches!(operation, Operation::Extend { .. }) {
+            return;
+        }
         match *operation {
             Operation::Extend { kind, from, turn } => {
                 let kinds = [
@@ -143,6 +146,8 @@ impl World {
                     Kind::Pose3,
                     Kind::Pose3,
                     Kind::Point2,
+                    Kind::Point2,
+                    Kind::Point3,
                     Kind::Point3,
                     Kind::Rot2,
                     Kind::Rot3,
@@ -193,7 +198,7 @@ impl World {
         let source = from.and_then(|from| {
             let newest = sources.len().checked_sub(1)?;
             // Mostly onwards from the newest; now and then from anywhere.
-            let at = if from % 4 == 0 { from / 4 % sources.len() } else { newest };
+            let at = if from.is_multiple_of(4) { from / 4 % sources.len() } else { newest };
             Some(sources[at].clone())
         });
         let variable = self.add(&mut change, kind, source.as_ref(), turn);
@@ -298,7 +303,7 @@ impl World {
         let mut change = self.smoother.change();
         let estimate = self.smoother.estimate_value(variable).expect("the variable is there");
         let step = self.wiggle.vector(estimate.dim(), 0.05);
-        change.move_value(variable, estimate.retract(&step));
+        change.move_value(variable, estimate.retract(&step).expect("the step has its dimension"));
         self.apply(change, "moving a linearization point");
     }
 
@@ -488,7 +493,11 @@ impl World {
 
     /// The measurement kinds that no operation has applied.
     pub fn never_applied<'a>(counts: &'a [usize]) -> impl Iterator<Item = &'static str> + 'a {
-        MAKERS.iter().zip(counts).filter(|(_, count)| **count == 0).map(|(maker, _): (&Maker, _)| maker.name)
+        MAKERS
+            .iter()
+            .zip(counts)
+            .filter(|(_, count)| **count == 0)
+            .map(|(maker, _): (&Maker, _)| maker.name)
     }
 }
 
