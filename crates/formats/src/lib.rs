@@ -73,6 +73,7 @@ mod read_line;
 mod record;
 mod replay;
 mod tags;
+mod trajectory;
 mod write;
 mod write_line;
 
@@ -82,4 +83,5 @@ pub use measurement::{LinearMeasurement, Measurement, Quantity};
 pub use options::{Dialect, G2oRotation, ReadOptions, WriteOptions};
 pub use record::{Coordinates, EntryOrder, Kind, Line, Record, Weight, WeightKind};
 pub use replay::{GaugePrior, Initial, Replay, ReplayOptions, Step, StepKind};
+pub use trajectory::{Stamps, Trajectory, TrajectoryError, TrajectoryFormat};
 pub use write::Written;

@@ -101,13 +101,18 @@ fn push_words(text: &mut String, words: &[&str]) {
     words.iter().for_each(|word| text.push_str(word));
 }
 
-/// The shortest texts that read back as the same bits. Both notations have that property; the
-/// exponent saves long runs of zeros.
 fn push_numbers(text: &mut String, numbers: &[f64]) {
     for &x in numbers {
-        let size = x.abs();
-        let plain = size == 0.0 || (1e-5..1e16).contains(&size);
-        // Writing to a string cannot fail.
-        let _ = if plain { write!(text, " {x}") } else { write!(text, " {x:e}") };
+        text.push(' ');
+        push_number(text, x);
     }
+}
+
+/// The shortest text that reads back as the same bits. Both notations have that property; the
+/// exponent saves long runs of zeros.
+pub(crate) fn push_number(text: &mut String, x: f64) {
+    let size = x.abs();
+    let plain = size == 0.0 || (1e-5..1e16).contains(&size);
+    // Writing to a string cannot fail.
+    let _ = if plain { write!(text, "{x}") } else { write!(text, "{x:e}") };
 }

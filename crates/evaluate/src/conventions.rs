@@ -68,7 +68,7 @@ fn g2o_squared(factor: &dyn Factor, at: &Arguments<'_>, rotation: G2oRotation) -
             &mut [d.x(), d.y(), d.z(), unit * qx, unit * qy, unit * qz],
         );
     }
-    // Landmarks: the same in both conventions.
+    // Anything else: the same in both conventions.
     let mut residual = vec![0.0; factor.residual_dim()];
     factor.residual(at, &mut residual);
     squared_norm(&residual)
