@@ -12,6 +12,7 @@ use crate::error::Error;
 use crate::files;
 use crate::options::{Common, Reading, Solving, StartFrom};
 use crate::output::Output;
+use crate::plot::PlotPath;
 use crate::replay::unsolvable;
 use crate::report::{self, Report, Run, Status, Times};
 use crate::table::number;
@@ -20,7 +21,7 @@ const EXAMPLES: &str = "\
 Examples:
   evergraph optimize sphere2500.g2o --output map.g2o
   evergraph optimize manhattan.g2o --method dogleg --init odometry
-  evergraph optimize noisy.g2o --kernel pseudo-huber:1.0 --report out.json
+  evergraph optimize noisy.g2o --robust=pseudo-huber:1.0 --report out.json
 
 initial_error and error count the file's factors only. An optimization that does not converge is
 done, too (exit code 0): the status says so, and the estimate is the best point found.";
@@ -56,10 +57,13 @@ pub(crate) struct Arguments {
     /// Write the graph with the estimates as its vertices; .g2o, .graph, .toro or .txt (iSAM)
     #[arg(long, short, value_name = "FILE", help_heading = "Output")]
     output: Option<PathBuf>,
+    /// Draw the map; .svg or .png
+    #[arg(long, value_name = "FILE", value_parser = PlotPath::parse, help_heading = "Output")]
+    plot: Option<PlotPath>,
     #[command(flatten)]
     reading: Reading,
     #[command(flatten)]
-    common: Common,
+    pub(crate) common: Common,
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
@@ -82,7 +86,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     if let Some(path) = &arguments.output {
         files::check_output(path, &document)?;
     }
-    if let Some(path) = &common.report {
+    let plot = arguments.plot.as_ref().map(PlotPath::path);
+    for path in common.report.as_deref().into_iter().chain(plot) {
         files::check_writable(path)?;
     }
     let options = arguments.solving.replay_options(arguments.init);
@@ -139,9 +144,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     report.add("iterations", batch.iterations);
     report.add("initial_error", json!(initial_error));
     report.add("gradient_norm", batch.gradient_norm);
+    report.check(&replayer)?;
     if let Some(path) = &arguments.output {
         let written = files::write_document(path, &replayer.solution(&document)?)?;
         crate::convert::tell(&written, path, output);
+    }
+    if let Some(path) = &arguments.plot {
+        report.plot(&replayer, None).save(path)?;
     }
     report.save(common.report.as_deref())?;
     let mut rows = report.table(&format!("{words} after {} iterations", batch.iterations));
