@@ -75,7 +75,7 @@ fn g2o_squared(factor: &dyn Factor, at: &Arguments<'_>, rotation: G2oRotation) -
 }
 
 /// The factor as an `F`, under a robust kernel or not.
-fn unwrapped<F: Factor>(factor: &dyn Factor) -> Option<&F> {
+pub(crate) fn unwrapped<F: Factor>(factor: &dyn Factor) -> Option<&F> {
     let any = factor.as_any();
     any.downcast_ref::<F>().or_else(|| Some(any.downcast_ref::<Robust<F>>()?.inner()))
 }

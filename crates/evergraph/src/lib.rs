@@ -65,6 +65,8 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
+mod chordal;
+mod chordal_linear;
 pub mod conventions;
 mod overview;
 mod replayer;
@@ -76,6 +78,7 @@ pub use evergraph_model as model;
 pub use evergraph_simulate as simulate;
 pub use evergraph_solver as solver;
 
+pub use chordal::chordal;
 pub use conventions::Objective;
 pub use evergraph_model::{Change, Factor, Graph, Values};
 pub use evergraph_solver::{Report, Settings, Smoother, SmootherError};

@@ -31,6 +31,17 @@ pub enum ReplayerError {
         /// Why; boxed, so that results are small where all goes well.
         source: Box<SmootherError>,
     },
+    /// The chordal initialization failed.
+    #[error(
+        "{file}: no chordal start can be computed ({source}): the weights of its edges are too far \
+         apart for 64-bit numbers. Start from the file's vertices or from odometry"
+    )]
+    Chordal {
+        /// The file.
+        file: String,
+        /// Why, with the variables of a graph of its own.
+        source: Box<SmootherError>,
+    },
     /// The smoother could not be made.
     #[error(transparent)]
     Smoother(#[from] SmootherError),

@@ -21,7 +21,7 @@ pub(crate) use map::Map;
 /// Of the picture, and of its panels, in pixels.
 const WIDTH: u32 = 1200;
 const LEFT: f64 = 105.0;
-const RIGHT: f64 = 1175.0;
+const RIGHT: f64 = 1165.0;
 const MAP_TOP: f64 = 128.0;
 const MAP_BOTTOM: f64 = 1028.0;
 const TIMES_TOP: f64 = 1130.0;
@@ -110,9 +110,7 @@ impl Plot {
         let Map { trajectory, closures, landmarks, in_space } = &self.map;
         let line = |class, colour, width, opacity| Pen { class, colour, width, opacity };
         let driven = line("trajectory", BLUE, 1.4, 1.0);
-        // Many closures must not hide what lies below each other.
-        let opacity = if closures.len() > 2000 { 0.35 } else { 0.7 };
-        let closed = line("closures", VERMILION, 0.8, opacity);
+        let closed = line("closures", VERMILION, 1.0, 0.6);
         let seen = line("landmarks", GREEN, 5.0, 0.9);
         let lone = line("poses", BLUE, 4.0, 1.0);
 
@@ -128,10 +126,14 @@ impl Plot {
 
         let mut entries = vec![(driven, format!("trajectory ({} poses)", self.map.poses()))];
         if !closures.is_empty() {
-            entries.push((line("key", VERMILION, 2.0, 1.0), format!("loop closures ({})", closures.len())));
+            entries.push((
+                line("key", VERMILION, 2.0, 1.0),
+                format!("loop closures ({})", closures.len()),
+            ));
         }
         if !landmarks.is_empty() {
-            entries.push((line("key", GREEN, 8.0, 1.0), format!("landmarks ({})", landmarks.len())));
+            entries
+                .push((line("key", GREEN, 8.0, 1.0), format!("landmarks ({})", landmarks.len())));
         }
         legend(svg, MAP_TOP - 12.0, entries);
     }
@@ -185,7 +187,8 @@ fn draw_times(times: &[(StepName, f64)], svg: &mut Svg) {
                 panel.place([(step + 1) as f64, shown(*ms)])
             };
             svg.dots(pen, of_kind.map(place));
-            entries.push((Pen { class: "key", width: 8.0, ..pen }, format!("{text} ({count} steps)")));
+            entries
+                .push((Pen { class: "key", width: 8.0, ..pen }, format!("{text} ({count} steps)")));
         }
     }
     legend(svg, TIMES_TOP - 12.0, entries);
@@ -195,7 +198,7 @@ fn draw_times(times: &[(StepName, f64)], svg: &mut Svg) {
 fn legend(svg: &mut Svg, y: f64, entries: Vec<(Pen, String)>) {
     const SIZE: u32 = 15;
     /// Of a letter, about, as a share of the size.
-    const ADVANCE: f64 = 0.6;
+    const ADVANCE: f64 = 0.55;
     let mut x = LEFT;
     for (pen, text) in entries {
         let pen = Pen { class: "key", opacity: 1.0, ..pen };

@@ -13,11 +13,8 @@ const FAMILY: &str = "DejaVu Sans";
 pub(super) fn draw(svg: &str) -> Result<Vec<u8>, String> {
     let mut fonts = fontdb::Database::new();
     fonts.load_font_data(FONT.to_vec());
-    let options = Options {
-        font_family: FAMILY.into(),
-        fontdb: Arc::new(fonts),
-        ..Options::default()
-    };
+    let options =
+        Options { font_family: FAMILY.into(), fontdb: Arc::new(fonts), ..Options::default() };
     let tree = Tree::from_str(svg, &options).map_err(|error| error.to_string())?;
     let size = tree.size().to_int_size();
     let mut pixels = Pixmap::new(size.width(), size.height())
