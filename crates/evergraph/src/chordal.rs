@@ -3,16 +3,15 @@
 use std::collections::{HashMap, HashSet};
 
 use evergraph_factors::{BetweenPose2, BetweenPose3, RelativePosition2, RelativePosition3};
-use evergraph_formats::{Document, Initial, Record};
+use evergraph_formats::{Document, Initial, Record, Replay, ReplayOptions};
 use evergraph_model::{
-    Factor, LieGroup, Manifold, Noise, Pose2, Pose3, Rot2, Rot3, Value, VariableId,
+    Factor, Graph, LieGroup, Manifold, Noise, Pose2, Pose3, Rot2, Rot3, Value, VariableId,
 };
 use evergraph_solver::{Settings, SmootherError};
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 use crate::chordal_linear::{Relation, solve};
 use crate::conventions::unwrapped;
-use crate::overview::Start;
 use crate::replayer::ReplayerError;
 
 /// Values for the poses and landmarks of a document from its measurements alone, near enough to the
@@ -52,7 +51,10 @@ pub fn chordal(
     settings: &Settings,
 ) -> Result<Vec<(u64, Value)>, ReplayerError> {
     settings.check().map_err(SmootherError::from)?;
-    let start = Start::of(document, Initial::FromFile)?;
+    let options = ReplayOptions { prior: None, initial: Initial::FromFile, kernel: None };
+    let mut replay = Replay::new(document, &options)?;
+    let mut change = Graph::new().change();
+    replay.everything(&mut change)?;
     let fixed: HashSet<u64> = document
         .records()
         .filter_map(|record| match record {
@@ -62,12 +64,26 @@ pub fn chordal(
         .collect();
     let failed =
         |source| ReplayerError::Chordal { file: document.name().into(), source: Box::new(source) };
-    let mut values: HashMap<VariableId, Value> = HashMap::new();
-    place_poses::<Pose2, 2>(&start, &fixed, settings, &mut values).map_err(failed)?;
-    place_poses::<Pose3, 3>(&start, &fixed, settings, &mut values).map_err(failed)?;
-    place_landmarks(&start, &mut values);
-    let value = |variable| values.get(&variable).cloned().unwrap_or_else(|| start.value(variable));
-    Ok(start.ids().iter().map(|&(id, variable)| (id, value(variable))).collect())
+    let mut map = Map {
+        ids: replay.ids().collect(),
+        values: change.new_variables().iter().cloned().collect(),
+        factors: change.new_factors().iter().map(|(_, factor)| &**factor).collect(),
+        fixed,
+    };
+    map.place_poses::<Pose2, 2>(settings).map_err(failed)?;
+    map.place_poses::<Pose3, 3>(settings).map_err(failed)?;
+    map.place_landmarks();
+    Ok(map.ids.iter().map(|(id, variable)| (*id, map.values[variable].clone())).collect())
+}
+
+/// A document as a graph.
+struct Map<'a> {
+    /// The variables with their ids in the file, in the order of arrival.
+    ids: Vec<(u64, VariableId)>,
+    values: HashMap<VariableId, Value>,
+    factors: Vec<&'a dyn Factor>,
+    /// Ids of poses that stay where they are.
+    fixed: HashSet<u64>,
 }
 
 /// A pose as a rotation matrix and a translation.
@@ -139,48 +155,65 @@ struct Edge<const D: usize> {
     translation_weight: f64,
 }
 
-/// Gives the poses of one kind their values.
-fn place_poses<P: Rigid<D>, const D: usize>(
-    start: &Start,
-    fixed: &HashSet<u64>,
-    settings: &Settings,
-    values: &mut HashMap<VariableId, Value>,
-) -> Result<(), SmootherError> {
-    let mut variables: Vec<VariableId> = Vec::new();
-    let mut poses: Vec<P> = Vec::new();
-    let mut is_fixed: Vec<bool> = Vec::new();
-    for &(id, variable) in start.ids() {
-        if let Some(pose) = start.value(variable).get::<P>() {
-            variables.push(variable);
-            poses.push(pose);
-            is_fixed.push(fixed.contains(&id));
+impl Map<'_> {
+    /// Gives the poses of one kind their values.
+    fn place_poses<P: Rigid<D>, const D: usize>(
+        &mut self,
+        settings: &Settings,
+    ) -> Result<(), SmootherError> {
+        let mut places: HashMap<VariableId, usize> = HashMap::new();
+        let mut poses: Vec<P> = Vec::new();
+        let mut fixed: Vec<bool> = Vec::new();
+        for (id, variable) in &self.ids {
+            if let Some(pose) = self.values[variable].get::<P>() {
+                places.insert(*variable, poses.len());
+                poses.push(pose);
+                fixed.push(self.fixed.contains(id));
+            }
         }
-    }
-    let places: HashMap<VariableId, usize> =
-        variables.iter().enumerate().map(|(place, &variable)| (variable, place)).collect();
-    let edges: Vec<Edge<D>> = start
-        .graph()
-        .factors()
-        .filter_map(|(_, factor)| P::between(factor))
-        .map(|(ends, measurement, noise)| {
+        let edge = |(ends, measurement, noise): ([VariableId; 2], P, &Noise)| {
             let (rotation, translation) = measurement.parts();
-            let information = noise.information();
-            let mean = |from: usize, to: usize| {
-                (from..to).map(|i| information[(i, i)]).sum::<f64>() / (to - from) as f64
-            };
+            let information = noise.information().diagonal();
             Edge {
                 ends: ends.map(|end| places[&end]),
                 rotation,
                 translation,
-                rotation_weight: mean(D, information.nrows()),
-                translation_weight: mean(0, D),
+                rotation_weight: information.rows_range(D..).mean(),
+                translation_weight: information.rows_range(..D).mean(),
             }
-        })
-        .collect();
-    turn(&mut poses, &is_fixed, &edges, settings)?;
-    shift(&mut poses, &is_fixed, &edges, settings)?;
-    values.extend(variables.into_iter().zip(poses.iter().map(Value::new)));
-    Ok(())
+        };
+        let edges: Vec<Edge<D>> =
+            self.factors.iter().filter_map(|factor| P::between(*factor)).map(edge).collect();
+        turn(&mut poses, &fixed, &edges, settings)?;
+        shift(&mut poses, &fixed, &edges, settings)?;
+        for (variable, place) in places {
+            self.values.insert(variable, Value::new(&poses[place]));
+        }
+        Ok(())
+    }
+
+    /// Puts each landmark where the first pose that sees it does.
+    fn place_landmarks(&mut self) {
+        let mut placed: HashSet<VariableId> = HashSet::new();
+        for factor in &self.factors {
+            let Some((point, value)) = self.sighting(*factor) else { continue };
+            if placed.insert(point) {
+                self.values.insert(point, value);
+            }
+        }
+    }
+
+    /// The point that a factor sees, and where.
+    fn sighting(&self, factor: &dyn Factor) -> Option<(VariableId, Value)> {
+        if let Some(seen) = unwrapped::<RelativePosition2>(factor) {
+            let pose: Pose2 = self.values[&seen.pose()].get()?;
+            return Some((seen.point(), Value::new(&pose.transform_point(&seen.measurement()))));
+        }
+        let seen = unwrapped::<RelativePosition3>(factor)?;
+        let pose: Pose3 = self.values[&seen.pose()].get()?;
+        let sensor = pose.compose(seen.robot_from_sensor());
+        Some((seen.point(), Value::new(&sensor.transform_point(&seen.measurement()))))
+    }
 }
 
 /// Rotations: `r_j = Zᵀ r_i` for each row `r` of R, then the nearest rotation.
@@ -280,22 +313,132 @@ fn anchors<const D: usize>(fixed: &[bool], relations: &[Relation<D>]) -> Vec<boo
     anchored
 }
 
-/// Puts each landmark where the first pose that sees it does.
-fn place_landmarks(start: &Start, values: &mut HashMap<VariableId, Value>) {
-    for (_, factor) in start.graph().factors() {
-        if let Some(seen) = unwrapped::<RelativePosition2>(factor)
-            && !values.contains_key(&seen.point())
-            && let Some(pose) = values.get(&seen.pose()).and_then(Value::get::<Pose2>)
-        {
-            let point = pose.transform_point(&seen.measurement());
-            values.insert(seen.point(), Value::new(&point));
+#[cfg(test)]
+mod tests {
+    use evergraph_formats::{Coordinates, Line, ReadOptions};
+    use evergraph_model::Point2;
+    use evergraph_simulate::{Grid, Landmarks, Surface};
+
+    use super::*;
+
+    fn parse(text: &str) -> Document {
+        Document::parse("test", text.as_bytes(), &ReadOptions::default()).unwrap()
+    }
+
+    fn start(document: &Document) -> HashMap<u64, Value> {
+        chordal(document, &Settings::default()).unwrap().into_iter().collect()
+    }
+
+    /// The vertices of a document as values.
+    fn vertices(document: &Document) -> HashMap<u64, Value> {
+        let value = |at: &Coordinates| match *at {
+            Coordinates::Pose2([x, y, theta]) => Value::new(&Pose2::new(x, y, theta)),
+            Coordinates::Pose3Quaternion([x, y, z, qx, qy, qz, qw]) => {
+                let rotation = Rot3::from_quaternion(qx, qy, qz, qw).unwrap();
+                Value::new(&Pose3::new(rotation, Vector3::new(x, y, z)))
+            }
+            Coordinates::Point2([x, y]) => Value::new(&Point2::new(x, y)),
+            _ => panic!("no world has {at:?}"),
+        };
+        let vertex = |record: &Record| match record {
+            Record::Vertex { id, at } => Some((*id, value(at))),
+            _ => None,
+        };
+        document.records().filter_map(vertex).collect()
+    }
+
+    /// The document with every vertex but the first far from where it belongs.
+    fn scattered(document: &Document) -> Document {
+        let scatter = |line: &Line| {
+            let mut line = line.clone();
+            if let Record::Vertex { id, at } = &mut line.record
+                && *id > 0
+            {
+                *at = match *at {
+                    Coordinates::Pose2([x, y, a]) => Coordinates::Pose2([7.0 - y, x, 2.0 - a]),
+                    Coordinates::Pose3Quaternion([x, y, z, ..]) => {
+                        Coordinates::Pose3Quaternion([y, 3.0 - z, x, 1.0, 0.0, 0.0, 0.0])
+                    }
+                    Coordinates::Point2([x, y]) => Coordinates::Point2([y, -x]),
+                    other => other,
+                };
+            }
+            line
+        };
+        let lines: Vec<Line> = document.lines().iter().map(scatter).collect();
+        Document::from_records("scattered", document.dialect(), lines).unwrap()
+    }
+
+    fn distance(a: &Value, b: &Value) -> f64 {
+        let mut local = vec![0.0; a.dim()];
+        a.kind().local(a.storage(), b.storage(), &mut local);
+        local.iter().fold(0.0, |most, x| most.max(x.abs()))
+    }
+
+    #[test]
+    fn without_noise_the_truth_is_recovered() {
+        let mut manhattan = Grid::manhattan(300, 1);
+        let mut city = Grid::city(300, 2);
+        for grid in [&mut manhattan, &mut city] {
+            grid.odometry = [1e-9; 3];
+            grid.closures.sigmas = [1e-9; 3];
         }
-        if let Some(seen) = unwrapped::<RelativePosition3>(factor)
-            && !values.contains_key(&seen.point())
-            && let Some(pose) = values.get(&seen.pose()).and_then(Value::get::<Pose3>)
-        {
-            let point = pose.compose(seen.robot_from_sensor()).transform_point(&seen.measurement());
-            values.insert(seen.point(), Value::new(&point));
+        city.landmarks =
+            Some(Landmarks { density: 0.05, sigmas: [1e-9; 2], ..Landmarks::default() });
+        let mut sphere = Surface::sphere(300, 3);
+        let mut torus = Surface::torus(300, 4);
+        for surface in [&mut sphere, &mut torus] {
+            surface.odometry = [1e-9; 6];
+            surface.closures.sigmas = [1e-9; 6];
         }
+        for world in [manhattan.generate(), city.generate(), sphere.generate(), torus.generate()] {
+            let world = world.unwrap();
+            let truth = vertices(&world.truth);
+            let document = scattered(&world.document);
+            let (found, scattered) = (start(&document), vertices(&document));
+            assert!(found.len() >= 300);
+            for (id, value) in &found {
+                assert!(distance(value, &truth[id]) < 1e-5, "{id}: {value:?}");
+            }
+            assert!(distance(&scattered[&7], &truth[&7]) > 0.1);
+        }
+    }
+
+    const UNIT: &str = "1 0 0 1 0 1";
+
+    #[test]
+    fn what_is_fixed_stays_and_parts_begin_at_their_vertices() {
+        let text = format!(
+            "VERTEX_SE2 0 5 6 1\nVERTEX_SE2 1 9 9 0\nVERTEX_SE2 2 7 7 0.5\nVERTEX_SE2 8 1 2 3\n\
+             VERTEX_SE2 9 0 0 0\nEDGE_SE2 0 1 1 0 0 {UNIT}\nEDGE_SE2 1 2 1 0 0 {UNIT}\n\
+             EDGE_SE2 8 9 1 0 0 {UNIT}\nFIX 2\n"
+        );
+        let document = parse(&text);
+        let (found, given) = (start(&document), vertices(&document));
+        assert_eq!((&found[&2], &found[&8]), (&given[&2], &given[&8]));
+        let first: Pose2 = found[&0].get().unwrap();
+        let (sin, cos) = 0.5_f64.sin_cos();
+        let expected = Value::new(&Pose2::new(7.0 - 2.0 * cos, 7.0 - 2.0 * sin, 0.5));
+        assert!(distance(&Value::new(&first), &expected) < 1e-9, "{first:?}");
+    }
+
+    #[test]
+    fn parts_of_an_edge_without_weight_do_not_count() {
+        // The second edge says nothing of the rotation: pose 2 keeps that of its vertex.
+        let text = format!(
+            "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0 0 0\nVERTEX_SE2 2 0 0 0.25\n\
+             EDGE_SE2 0 1 1 0 1 {UNIT}\nEDGE_SE2 1 2 1 0 1 1 0 0 1 0 0\n"
+        );
+        let last: Pose2 = start(&parse(&text))[&2].get().unwrap();
+        assert!((last.theta() - 0.25).abs() < 1e-12);
+        assert!((last.y() - 1.0_f64.sin()).abs() < 1e-12, "{last:?}");
+    }
+
+    /// The polar factor of a reflection is none: the nearest rotation turns the weakest direction.
+    #[test]
+    fn reflections_become_rotations() {
+        let reflected = Matrix3::from_diagonal(&Vector3::new(2.0, -0.1, 3.0));
+        let nearest = <Pose3 as Rigid<3>>::nearest_rotation(&reflected).unwrap();
+        assert!((nearest.rotation().matrix() - Matrix3::identity()).norm() < 1e-12);
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use evergraph_formats::{Document, G2oRotation, Initial, Record, Replay, ReplayOptions};
-use evergraph_model::{Graph, Value, VariableId};
+use evergraph_model::Graph;
 use evergraph_solver::SmootherError;
 
 use crate::conventions::{self, Objective};
@@ -115,7 +115,6 @@ fn root(parent: &mut [usize], mut node: usize) -> usize {
 pub struct Start {
     graph: Graph,
     points: Vec<f64>,
-    ids: Vec<(u64, VariableId)>,
 }
 
 impl Start {
@@ -135,22 +134,7 @@ impl Start {
         for (variable, value) in change.new_variables() {
             points[graph.value_range(variable.index())].copy_from_slice(value.storage());
         }
-        Ok(Self { graph, points, ids: replay.ids().collect() })
-    }
-
-    pub(crate) fn graph(&self) -> &Graph {
-        &self.graph
-    }
-
-    /// The variables with their ids in the file, in the order of arrival.
-    pub(crate) fn ids(&self) -> &[(u64, VariableId)] {
-        &self.ids
-    }
-
-    /// The start value of a variable.
-    pub(crate) fn value(&self, variable: VariableId) -> Value {
-        let index = variable.index();
-        self.graph.value(index, &self.points[self.graph.value_range(index)])
+        Ok(Self { graph, points })
     }
 
     /// Error and chi2 in this library's convention.
