@@ -44,6 +44,15 @@ pub(crate) enum Error {
     /// A file could not be written.
     #[error("{}: cannot be written: {source}; nothing was put in its place", path.display())]
     Write { path: PathBuf, source: io::Error },
+    /// A picture could not be drawn.
+    #[error("{}: cannot be drawn: {reason}; nothing was put in its place", path.display())]
+    Draw { path: PathBuf, reason: String },
+    /// The map costs more than a number can say.
+    #[error(
+        "{file}: the error of the map is not finite; most of it comes from line {line}. Check the \
+         measurement and the weights there: squares above 1e308 do not fit 64-bit numbers"
+    )]
+    Overflow { file: String, line: usize },
     /// A report could not be expressed.
     #[error("the report cannot be written as JSON: {0}")]
     Json(#[from] serde_json::Error),

@@ -50,7 +50,12 @@ impl NewFile {
 
     /// Appends text.
     pub(crate) fn write(&mut self, text: &str) -> Result<(), Error> {
-        self.writer.write_all(text.as_bytes()).map_err(|source| self.failed(source))
+        self.write_bytes(text.as_bytes())
+    }
+
+    /// Appends bytes.
+    pub(crate) fn write_bytes(&mut self, bytes: &[u8]) -> Result<(), Error> {
+        self.writer.write_all(bytes).map_err(|source| self.failed(source))
     }
 
     /// Puts the file in its place.
@@ -83,8 +88,13 @@ impl Drop for NewFile {
 
 /// Writes text to a file.
 pub(crate) fn write_text(path: &Path, text: &str) -> Result<(), Error> {
+    write_bytes(path, text.as_bytes())
+}
+
+/// Writes bytes to a file.
+pub(crate) fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     let mut file = NewFile::create(path)?;
-    file.write(text)?;
+    file.write_bytes(bytes)?;
     file.finish()
 }
 

@@ -45,7 +45,7 @@ pub(crate) struct Arguments {
     #[command(flatten)]
     reading: Reading,
     #[command(flatten)]
-    common: Common,
+    pub(crate) common: Common,
 }
 
 /// Components that are listed without `--verbose`.
@@ -56,7 +56,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let document = arguments.reading.read(&arguments.file, common)?;
     let overview = Overview::of(&document);
     let mut rows = Rows::new("data set", &report::file_name(&arguments.file));
-    let mut json = describe(&document, &overview, common.verbose, &mut rows);
+    let mut json = describe(&document, &overview, common.verbose > 0, &mut rows);
     json["schema"] = json!(SCHEMA);
     json["command"] = json!("info");
     json["dataset"] = json!(report::file_name(&arguments.file));

@@ -1,13 +1,16 @@
 //! The `evergraph` program: replay, optimize, inspect, convert and simulate pose graphs.
 #![forbid(unsafe_code)]
 
+mod completions;
 mod convert;
 mod error;
 mod files;
 mod info;
+mod log;
 mod optimize;
 mod options;
 mod output;
+mod plot;
 mod progress;
 mod replay;
 mod report;
@@ -19,6 +22,8 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+use crate::options::Common;
+
 /// Incremental smoothing of pose graphs: g2o, TORO and iSAM files.
 #[derive(Debug, Parser)]
 #[command(name = "evergraph", version, max_term_width = 100, after_help = EXIT_CODES)]
@@ -29,7 +34,8 @@ struct Program {
 
 const EXIT_CODES: &str = "\
 Exit codes: 0 done, 1 the input or the problem is bad (a message says what and where), 2 usage.
-`evergraph <COMMAND> --help` has examples.";
+`evergraph <COMMAND> --help` has examples; `evergraph completions --help` says how a shell completes
+the options.";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -43,15 +49,36 @@ enum Command {
     Convert(convert::Arguments),
     /// Make a world with known truth
     Simulate(simulate::Arguments),
+    /// Print completions for a shell
+    Completions(completions::Arguments),
+}
+
+impl Command {
+    /// What all subcommands take that have anything to say.
+    fn common(&self) -> Option<&Common> {
+        match self {
+            Self::Replay(arguments) => Some(&arguments.common),
+            Self::Optimize(arguments) => Some(&arguments.common),
+            Self::Info(arguments) => Some(&arguments.common),
+            Self::Convert(arguments) => Some(&arguments.common),
+            Self::Simulate(arguments) => Some(&arguments.common),
+            Self::Completions(_) => None,
+        }
+    }
 }
 
 fn main() -> ExitCode {
-    let result = match Program::parse().command {
+    let command = Program::parse().command;
+    if let Some(common) = command.common() {
+        log::start(common);
+    }
+    let result = match command {
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Optimize(arguments) => optimize::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
+        Command::Completions(arguments) => completions::run(&arguments),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -12,6 +12,7 @@ use crate::error::Error;
 use crate::files;
 use crate::options::{Common, Reading, Solving, StartFrom};
 use crate::output::Output;
+use crate::plot::PlotPath;
 use crate::replay::unsolvable;
 use crate::report::{self, Report, Run, Status, Times};
 use crate::table::number;
@@ -20,7 +21,8 @@ const EXAMPLES: &str = "\
 Examples:
   evergraph optimize sphere2500.g2o --output map.g2o
   evergraph optimize manhattan.g2o --method dogleg --init odometry
-  evergraph optimize noisy.g2o --kernel pseudo-huber:1.0 --report out.json
+  evergraph optimize sphere_mednoise.graph --init chordal --plot sphere.png
+  evergraph optimize noisy.g2o --robust=pseudo-huber:1.0 --report out.json
 
 initial_error and error count the file's factors only. An optimization that does not converge is
 done, too (exit code 0): the status says so, and the estimate is the best point found.";
@@ -36,6 +38,28 @@ enum MethodName {
     Dogleg,
 }
 
+/// Where variables start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Init {
+    /// The file's vertices; where it has none, odometry
+    File,
+    /// Composed along the edges
+    Odometry,
+    /// The least-squares solution with relaxed rotations, from the edges alone: for files whose own
+    /// start is far off
+    Chordal,
+}
+
+impl Init {
+    fn name(self) -> &'static str {
+        match self {
+            Self::File => "file",
+            Self::Odometry => "odometry",
+            Self::Chordal => "chordal",
+        }
+    }
+}
+
 /// Solve a whole file at once.
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
@@ -47,7 +71,7 @@ pub(crate) struct Arguments {
     method: MethodName,
     /// Where variables start
     #[arg(long, value_enum, default_value = "file", help_heading = "Solving")]
-    init: StartFrom,
+    init: Init,
     /// Most linearizations
     #[arg(long, value_name = "N", default_value_t = BatchSettings::default().max_iterations, help_heading = "Solving")]
     max_iterations: u32,
@@ -56,10 +80,13 @@ pub(crate) struct Arguments {
     /// Write the graph with the estimates as its vertices; .g2o, .graph, .toro or .txt (iSAM)
     #[arg(long, short, value_name = "FILE", help_heading = "Output")]
     output: Option<PathBuf>,
+    /// Draw the map; .svg or .png
+    #[arg(long, value_name = "FILE", value_parser = PlotPath::parse, help_heading = "Output")]
+    plot: Option<PlotPath>,
     #[command(flatten)]
     reading: Reading,
     #[command(flatten)]
-    common: Common,
+    pub(crate) common: Common,
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
@@ -82,12 +109,24 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     if let Some(path) = &arguments.output {
         files::check_output(path, &document)?;
     }
-    if let Some(path) = &common.report {
+    let plot = arguments.plot.as_ref().map(PlotPath::path);
+    for path in common.report.as_deref().into_iter().chain(plot) {
         files::check_writable(path)?;
     }
-    let options = arguments.solving.replay_options(arguments.init);
+    let begins = Instant::now();
+    let (document, from) = match arguments.init {
+        Init::File => (document, StartFrom::File),
+        Init::Odometry => (document, StartFrom::Odometry),
+        Init::Chordal => {
+            let start = evergraph::chordal(&document, &settings)?;
+            (document.with_vertices(start)?, StartFrom::File)
+        }
+    };
+    let mut took = begins.elapsed();
+    let options = arguments.solving.replay_options(from);
     let mut replayer = Replayer::new(&document, &options, settings)?;
-    let mut settings_json = arguments.solving.json(arguments.init, &settings)?;
+    let mut settings_json = arguments.solving.json(from, &settings)?;
+    settings_json["initial"] = json!(arguments.init.name());
     settings_json["batch"] = serde_json::to_value(batch_settings)?;
     settings_json["reading"] = arguments.reading.json();
     let mut run = Run {
@@ -100,7 +139,6 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         peak_rss_mb: None,
     };
 
-    let mut took = std::time::Duration::ZERO;
     let mut initial_error = None;
     let outcome = (|| {
         took += replayer.everything()?.update;
@@ -139,9 +177,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     report.add("iterations", batch.iterations);
     report.add("initial_error", json!(initial_error));
     report.add("gradient_norm", batch.gradient_norm);
+    report.check(&replayer)?;
     if let Some(path) = &arguments.output {
         let written = files::write_document(path, &replayer.solution(&document)?)?;
         crate::convert::tell(&written, path, output);
+    }
+    if let Some(path) = &arguments.plot {
+        report.plot(&replayer, None).save(path)?;
     }
     report.save(common.report.as_deref())?;
     let mut rows = report.table(&format!("{words} after {} iterations", batch.iterations));

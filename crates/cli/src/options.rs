@@ -1,14 +1,16 @@
 //! Options that several subcommands share.
 
 use std::num::NonZeroU32;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-use clap::{Args, ValueEnum};
+use clap::{ArgAction, Args, ValueEnum};
 use evergraph::formats::{
     Dialect, Document, G2oRotation, Initial, ReadOptions, ReplayOptions, WeightKind,
 };
 use evergraph::model::Kernel;
 use evergraph::solver::{Elimination, Fluid, Relinearization, Settings};
+use tracing::info;
 
 use crate::error::Error;
 use crate::output::Output;
@@ -22,9 +24,10 @@ pub(crate) struct Common {
     /// Say nothing but errors: no bar, no table, no warnings
     #[arg(long, short, help_heading = "Output")]
     pub quiet: bool,
-    /// Say more, on standard error
-    #[arg(long, short, conflicts_with = "quiet", help_heading = "Output")]
-    pub verbose: bool,
+    /// Say what happens, on standard error; twice for details. RUST_LOG=evergraph_solver=debug and
+    /// the like choose what
+    #[arg(long, short, action = ArgAction::Count, conflicts_with = "quiet", help_heading = "Output")]
+    pub verbose: u8,
     /// Threads; results do not depend on it [default: the cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
@@ -110,7 +113,7 @@ fn tell(document: &Document, output: Output) {
         if at < LISTED {
             output.warn(&format!("skipped {}", skipped.error));
         } else {
-            output.detail(&format!("skipped {}", skipped.error));
+            info!("skipped {}", skipped.error);
         }
     }
     if document.skipped().len() > LISTED {
@@ -118,7 +121,7 @@ fn tell(document: &Document, output: Output) {
         output.warn(&format!("{more} more bad lines were skipped; --verbose lists them"));
     }
     for (tag, count) in &document.summary().ignored {
-        output.detail(&format!("{}: {count} {tag} lines were passed over", document.name()));
+        info!("{}: {count} {tag} lines were passed over", document.name());
     }
 }
 
@@ -131,20 +134,40 @@ fn prior(text: &str) -> Result<Prior, String> {
         return Ok(Prior(None));
     }
     match text.parse::<f64>() {
-        Ok(sigma) if sigma > 0.0 && sigma.is_finite() => Ok(Prior(Some(sigma))),
-        _ => Err("give `none` or a standard deviation above 0 (m and rad)".into()),
+        Ok(sigma) if SIGMAS.contains(&sigma) => Ok(Prior(Some(sigma))),
+        _ => Err("give `none` or a standard deviation between 1e-150 and 1e150 (m and rad)".into()),
     }
 }
 
+/// Whose squares, and their inverses, are numbers.
+const SIGMAS: RangeInclusive<f64> = 1e-150..=1e150;
+
+/// Where the linear part of a kernel begins when not told: 95 % of the efficiency of least squares
+/// on noise without outliers (Huber 1981).
+const THRESHOLD: f64 = 1.345;
+
 fn kernel(text: &str) -> Result<Kernel, String> {
-    let (name, threshold) = text.split_once(':').ok_or("give NAME:THRESHOLD, as in huber:1.0")?;
-    let threshold: f64 = threshold.parse().map_err(|_| format!("`{threshold}` is no number"))?;
+    let (name, threshold) = match text.split_once(':') {
+        Some((name, threshold)) => {
+            (name, threshold.parse().map_err(|_| format!("`{threshold}` is no number"))?)
+        }
+        None => (text, THRESHOLD),
+    };
     let kernel = match name {
         "huber" => Kernel::huber(threshold),
         "pseudo-huber" => Kernel::pseudo_huber(threshold),
         _ => return Err(format!("`{name}` is no kernel; there are huber and pseudo-huber")),
     };
     kernel.map_err(|error| error.to_string())
+}
+
+/// A kernel as the option spells it.
+fn spelled(kernel: &Kernel) -> String {
+    let name = match kernel {
+        Kernel::Huber { .. } => "huber",
+        Kernel::PseudoHuber { .. } => "pseudo-huber",
+    };
+    format!("{name}:{}", kernel.threshold())
 }
 
 /// Where variables start.
@@ -188,9 +211,12 @@ pub(crate) struct Solving {
     /// How cliques are eliminated
     #[arg(long, value_enum, default_value = "cholesky")]
     pub elimination: EliminationName,
-    /// Robust kernel around every edge, with its threshold in standard deviations: huber:1.0 or
-    /// pseudo-huber:1.0
-    #[arg(long, value_name = "NAME:THRESHOLD", value_parser = kernel)]
+    /// Robust kernel around every edge: huber or pseudo-huber, with a threshold in standard
+    /// deviations if not 1.345, as in --robust=huber:1.0 [without a value: huber]
+    #[arg(long, value_name = "KERNEL", num_args = 0..=1, require_equals = true, default_missing_value = "huber", value_parser = kernel)]
+    pub robust: Option<Kernel>,
+    /// Former name of --robust
+    #[arg(long, value_name = "KERNEL", hide = true, conflicts_with = "robust", value_parser = kernel)]
     pub kernel: Option<Kernel>,
     /// Standard deviation (m, rad) of the prior that holds the first pose of each component, or
     /// `none`
@@ -199,8 +225,12 @@ pub(crate) struct Solving {
 }
 
 impl Solving {
+    fn kernel(&self) -> Option<Kernel> {
+        self.robust.or(self.kernel)
+    }
+
     pub(crate) fn replay_options(&self, start: StartFrom) -> ReplayOptions {
-        ReplayOptions { prior: self.prior.0, initial: start.initial(), kernel: self.kernel }
+        ReplayOptions { prior: self.prior.0, initial: start.initial(), kernel: self.kernel() }
     }
 
     pub(crate) fn settings(&self, relinearization: Relinearization, threads: usize) -> Settings {
@@ -218,7 +248,7 @@ impl Solving {
     ) -> Result<serde_json::Value, Error> {
         Ok(serde_json::json!({
             "solver": serde_json::to_value(settings)?,
-            "kernel": self.kernel.map(|it| format!("{}:{}", it.name(), it.threshold())),
+            "kernel": self.kernel().as_ref().map(spelled),
             "prior_sigma": self.prior.0,
             "initial": start.name(),
         }))

@@ -15,7 +15,7 @@ pub(crate) struct Output {
 
 impl Output {
     pub(crate) fn new(common: &Common) -> Self {
-        Self { quiet: common.quiet, verbose: common.verbose }
+        Self { quiet: common.quiet, verbose: common.verbose > 0 }
     }
 
     /// The result.
@@ -34,16 +34,11 @@ impl Output {
         }
     }
 
-    /// What only `--verbose` shows.
-    pub(crate) fn detail(self, text: &dyn Display) {
-        if self.verbose && !self.quiet {
-            to_stderr(&text.to_string());
-        }
-    }
-
-    /// Whether a bar can be drawn: somebody is looking, and neither stream goes elsewhere.
+    /// Whether a bar can be drawn: somebody is looking, neither stream goes elsewhere, and no log
+    /// runs through it.
     pub(crate) fn is_interactive(self) -> bool {
-        !self.quiet && io::stdout().is_terminal() && io::stderr().is_terminal()
+        let terminal = io::stdout().is_terminal() && io::stderr().is_terminal();
+        terminal && !self.quiet && !self.verbose
     }
 }
 

@@ -8,14 +8,16 @@ use evergraph::formats::Document;
 use evergraph::solver::{BatchReport, BatchSettings, Settings, Status as BatchStatus};
 use evergraph::{Replayer, SmootherError};
 use serde_json::json;
+use tracing::info;
 
 use crate::error::Error;
 use crate::files;
 use crate::options::{Common, Policy, Reading, Solving, StartFrom};
 use crate::output::Output;
+use crate::plot::PlotPath;
 use crate::progress::Progress;
 use crate::report::{self, Report, Run, Status, Times};
-use crate::steps::{StepLog, Totals};
+use crate::steps::{StepLog, StepName, Totals};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -23,7 +25,8 @@ Examples:
   evergraph replay manhattan.g2o --output map.g2o
   evergraph replay city10000.txt --report out.json --steps steps.csv
   evergraph replay sphere2500.g2o --relinearize every --relinearize-every 50
-  evergraph replay noisy.g2o --kernel huber:1.0 --final-batch
+  evergraph replay noisy.g2o --robust=huber:1.0 --final-batch
+  evergraph replay city10000.txt --plot city.png
 
 Status:
   converged      with --final-batch: it converged. Without: one more Gauss-Newton step with
@@ -65,6 +68,9 @@ pub(crate) struct Arguments {
     /// Write the graph with the estimates as its vertices; .g2o, .graph, .toro or .txt (iSAM)
     #[arg(long, short, value_name = "FILE", help_heading = "Output")]
     output: Option<PathBuf>,
+    /// Draw the map, and the time of each step; .svg or .png
+    #[arg(long, value_name = "FILE", value_parser = PlotPath::parse, help_heading = "Output")]
+    plot: Option<PlotPath>,
     /// Write a line for each step
     #[arg(long, value_name = "FILE.csv", help_heading = "Output")]
     steps: Option<PathBuf>,
@@ -74,16 +80,25 @@ pub(crate) struct Arguments {
     #[command(flatten)]
     reading: Reading,
     #[command(flatten)]
-    common: Common,
+    pub(crate) common: Common,
 }
 
 /// What the steps left behind.
 #[derive(Default)]
 struct Driven {
+    kinds: Vec<StepName>,
     updates: Vec<Duration>,
     relinearizations: usize,
     refused: usize,
     batches: usize,
+}
+
+impl Driven {
+    /// Kind and milliseconds of each step.
+    fn times(&self) -> Vec<(StepName, f64)> {
+        let ms = self.updates.iter().map(|it| 1e3 * it.as_secs_f64());
+        self.kinds.iter().copied().zip(ms).collect()
+    }
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
@@ -97,7 +112,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     if let Some(path) = &arguments.output {
         files::check_output(path, &document)?;
     }
-    if let Some(path) = &common.report {
+    let plot = arguments.plot.as_ref().map(PlotPath::path);
+    for path in common.report.as_deref().into_iter().chain(plot) {
         files::check_writable(path)?;
     }
     let options = arguments.solving.replay_options(arguments.initial);
@@ -149,10 +165,16 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     if let Err(error) = &outcome {
         report.add("message", error.to_string());
     }
-    // The map comes first: of the two it is the one that cost the work.
-    if let (Ok(_), Some(path)) = (&outcome, &arguments.output) {
-        let written = files::write_document(path, &replayer.solution(&document)?)?;
-        crate::convert::tell(&written, path, output);
+    if outcome.is_ok() {
+        report.check(&replayer)?;
+        // The map comes first: it is what cost the work.
+        if let Some(path) = &arguments.output {
+            let written = files::write_document(path, &replayer.solution(&document)?)?;
+            crate::convert::tell(&written, path, output);
+        }
+        if let Some(path) = &arguments.plot {
+            report.plot(&replayer, Some(driven.times())).save(path)?;
+        }
     }
     report.save(common.report.as_deref())?;
     outcome?;
@@ -217,6 +239,7 @@ fn apply_steps(
         totals.step += 1;
         totals.variables += done.step.variables;
         totals.factors += done.step.factors;
+        driven.kinds.push(StepName::of(&done));
         driven.updates.push(done.update);
         driven.relinearizations += done.report.variables_relinearized;
         driven.refused += usize::from(done.report.relinearization_refused.is_some());
@@ -258,7 +281,7 @@ fn warn(replayer: &Replayer, driven: &Driven, output: Output) {
     }
     for prior in replayer.replay().gauge_priors() {
         let why = if prior.fixed { "FIX" } else { "first of its component" };
-        output.detail(&format!("gauge prior on pose {} ({why}), sigma {}", prior.id, prior.sigma));
+        info!("gauge prior on pose {} ({why}), sigma {}", prior.id, prior.sigma);
     }
 }
 

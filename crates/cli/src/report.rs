@@ -9,6 +9,8 @@ use serde_json::{Map, Value};
 
 use crate::error::Error;
 use crate::files;
+use crate::plot::{self, Plot};
+use crate::steps::StepName;
 use crate::table::{CONVENTION, Rows, milliseconds, number};
 
 /// Version of the JSON reports.
@@ -160,6 +162,29 @@ impl Report {
 
     pub(crate) fn add(&mut self, field: &str, value: impl Into<Value>) {
         self.extra.insert(field.into(), value.into());
+    }
+
+    /// Whether the error is a number, which a report can hold.
+    pub(crate) fn check(&self, replayer: &Replayer) -> Result<(), Error> {
+        if self.error.is_finite() && self.chi2.is_finite() {
+            return Ok(());
+        }
+        let line = replayer.costliest_line().unwrap_or_default();
+        Err(Error::Overflow { file: replayer.name().into(), line })
+    }
+
+    /// The picture of a run.
+    pub(crate) fn plot(&self, replayer: &Replayer, times: Option<Vec<(StepName, f64)>>) -> Plot {
+        let (error, chi2) = (number(self.error), number(self.chi2));
+        Plot {
+            title: self.dataset.clone(),
+            subtitle: [
+                format!("evergraph {}: error {error}, chi2 {chi2}", self.command),
+                CONVENTION.into(),
+            ],
+            map: plot::Map::of(replayer),
+            times,
+        }
     }
 
     pub(crate) fn save(&self, path: Option<&Path>) -> Result<(), Error> {

@@ -88,7 +88,7 @@ pub(crate) struct Arguments {
     )]
     landmark_sigmas: Option<Vec<f64>>,
     #[command(flatten)]
-    common: Common,
+    pub(crate) common: Common,
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {

@@ -9,6 +9,32 @@ use evergraph::formats::StepKind;
 use crate::error::Error;
 use crate::files::NewFile;
 
+/// What a step was, in a word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum StepName {
+    Explore,
+    Loop,
+    Batch,
+}
+
+impl StepName {
+    pub(crate) fn of(done: &Replayed) -> Self {
+        match (&done.report.batch, done.step.kind) {
+            (Some(_), _) => Self::Batch,
+            (None, StepKind::Loop) => Self::Loop,
+            (None, StepKind::Explore) => Self::Explore,
+        }
+    }
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Explore => "explore",
+            Self::Loop => "loop",
+            Self::Batch => "batch",
+        }
+    }
+}
+
 /// The file of steps.
 #[derive(Debug)]
 pub(crate) struct StepLog {
@@ -40,11 +66,7 @@ impl StepLog {
         totals: Totals,
         error: Option<f64>,
     ) -> Result<(), Error> {
-        let kind = match (&done.report.batch, done.step.kind) {
-            (Some(_), _) => "batch",
-            (None, StepKind::Loop) => "loop",
-            (None, StepKind::Explore) => "explore",
-        };
+        let kind = StepName::of(done).name();
         let Totals { step, variables, factors } = totals;
         let ms = 1e3 * done.update.as_secs_f64();
         let (cliques, moved) = (done.report.cliques_eliminated, done.report.variables_relinearized);

@@ -7,7 +7,7 @@
 
 use evergraph_factors::{BetweenPose2, BetweenPose3};
 use evergraph_formats::G2oRotation;
-use evergraph_model::{Arguments, Factor, FactorId, Graph, LieGroup, Noise, Pose2, Pose3, Robust};
+use evergraph_model::{Arguments, Factor, FactorId, Graph, LieGroup, Noise, Pose2, Pose3};
 
 /// What a map costs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -50,12 +50,12 @@ pub fn g2o_chi2(graph: &Graph, points: &[f64], rotation: G2oRotation) -> f64 {
 }
 
 fn g2o_squared(factor: &dyn Factor, at: &Arguments<'_>, rotation: G2oRotation) -> f64 {
-    if let Some(between) = unwrapped::<BetweenPose2>(factor) {
+    if let Some((between, _)) = factor.downcast::<BetweenPose2>() {
         let (from, to): (Pose2, Pose2) = (at.get(0), at.get(1));
         let d = between.measurement().between(&from.between(&to));
         return whitened(between.noise(), &mut [d.x(), d.y(), d.theta()]);
     }
-    if let Some(between) = unwrapped::<BetweenPose3>(factor) {
+    if let Some((between, _)) = factor.downcast::<BetweenPose3>() {
         let (from, to): (Pose3, Pose3) = (at.get(0), at.get(1));
         let d = between.measurement().between(&from.between(&to));
         let [qx, qy, qz, qw] = d.rotation().quaternion();
@@ -72,12 +72,6 @@ fn g2o_squared(factor: &dyn Factor, at: &Arguments<'_>, rotation: G2oRotation) -
     let mut residual = vec![0.0; factor.residual_dim()];
     factor.residual(at, &mut residual);
     squared_norm(&residual)
-}
-
-/// The factor as an `F`, under a robust kernel or not.
-fn unwrapped<F: Factor>(factor: &dyn Factor) -> Option<&F> {
-    let any = factor.as_any();
-    any.downcast_ref::<F>().or_else(|| Some(any.downcast_ref::<Robust<F>>()?.inner()))
 }
 
 fn whitened(noise: &Noise, residual: &mut [f64]) -> f64 {

@@ -67,6 +67,8 @@
 #![deny(missing_docs)]
 
 mod audit;
+mod chordal;
+mod chordal_linear;
 mod overview;
 mod replayer;
 mod words;
@@ -78,6 +80,7 @@ pub use evergraph_model as model;
 pub use evergraph_simulate as simulate;
 pub use evergraph_solver as solver;
 
+pub use chordal::chordal;
 pub use evergraph_evaluate::{Objective, Start, conventions};
 pub use evergraph_model::{Change, Factor, Graph, Values};
 pub use evergraph_solver::{Report, Settings, Smoother, SmootherError};

@@ -31,6 +31,17 @@ pub enum ReplayerError {
         /// Why; boxed, so that results are small where all goes well.
         source: Box<SmootherError>,
     },
+    /// The chordal initialization failed.
+    #[error(
+        "{file}: no chordal start can be computed ({source}): the weights of its edges are too far \
+         apart for 64-bit numbers. Start from the file's vertices or from odometry"
+    )]
+    Chordal {
+        /// The file.
+        file: String,
+        /// Why, with the variables of a graph of its own.
+        source: Box<SmootherError>,
+    },
     /// The smoother could not be made.
     #[error(transparent)]
     Smoother(#[from] SmootherError),
@@ -145,12 +156,32 @@ impl Replayer {
     }
 
     fn objective_at(&self, values: impl Iterator<Item = (VariableId, Value)>) -> Objective {
+        let priors = self.priors();
+        Objective::at(self.graph(), &self.laid_out(values), |factor| !priors.contains(&factor))
+    }
+
+    /// Values where the graph has them, as [`Graph::value_range`] says.
+    fn laid_out(&self, values: impl Iterator<Item = (VariableId, Value)>) -> Vec<f64> {
         let mut points = vec![0.0; self.graph().value_len()];
         for (variable, value) in values {
             points[self.graph().value_range(variable.index())].copy_from_slice(value.storage());
         }
-        let priors = self.priors();
-        Objective::at(self.graph(), &points, |factor| !priors.contains(&factor))
+        points
+    }
+
+    /// The line of the file's factor that costs most at the estimate, where one costs anything: where
+    /// to look when the error is not finite.
+    pub fn costliest_line(&self) -> Option<usize> {
+        let estimates = self.smoother.estimates();
+        let points = self.laid_out(estimates.iter().map(|(id, value)| (id, value.to_value())));
+        let error = |factor: FactorId| self.graph().factor_error(factor.index(), &points);
+        let factors = self.replay.factors().iter();
+        factors
+            .filter(|(factor, _)| self.graph().check_factor(*factor).is_ok())
+            .map(|(factor, line)| (error(*factor), *line))
+            .filter(|(error, _)| *error > 0.0)
+            .max_by(|a, b| a.0.total_cmp(&b.0))
+            .map(|(_, line)| line)
     }
 
     fn priors(&self) -> HashSet<FactorId> {

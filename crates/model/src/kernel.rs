@@ -139,6 +139,17 @@ impl<F: Factor> Robust<F> {
     }
 }
 
+impl dyn Factor {
+    /// The factor as an `F`, and the kernel that it stands under, if it stands under one.
+    pub fn downcast<F: Factor>(&self) -> Option<(&F, Option<Kernel>)> {
+        let any = self.as_any();
+        let bare = any.downcast_ref::<F>().map(|factor| (factor, None));
+        bare.or_else(|| {
+            any.downcast_ref::<Robust<F>>().map(|robust| (robust.inner(), Some(robust.kernel())))
+        })
+    }
+}
+
 impl<F: Factor> Factor for Robust<F> {
     fn name(&self) -> String {
         format!("Robust<{}, {}>", self.inner.name(), self.kernel.name())

@@ -166,7 +166,8 @@ pub(super) fn sample<T>(all: &[T], at_most: usize) -> Vec<&T> {
 }
 
 fn scales(planar: bool) -> DVector<f64> {
-    let ((length, angle), lengths, dim) = (COARSE, if planar { 2 } else { 3 }, if planar { 3 } else { 6 });
+    let ((length, angle), lengths, dim) =
+        (COARSE, if planar { 2 } else { 3 }, if planar { 3 } else { 6 });
     DVector::from_fn(dim, |i, _| if i < lengths { length } else { angle })
 }
 
