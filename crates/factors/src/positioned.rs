@@ -16,7 +16,7 @@ pub trait Positioned<const D: usize>: Manifold {
     fn chain<const R: usize>(&self, by_position: &SMatrix<f64, R, D>, out: &mut [f64]);
 }
 
-/// The position of a pose moves along its own axes and is first in the tangent.
+// The position of a pose moves along its own axes and is first in the tangent.
 macro_rules! positioned {
     ($pose:ty, $point:ty, $dim:literal) => {
         impl Positioned<$dim> for $pose {

@@ -8,10 +8,9 @@
 //! `d = 0` sees.
 //!
 //! ```
-//! use evergraph_factors::autodiff::{AutoDiff, Number, Residual, Transform2, norm};
+//! use evergraph_factors::autodiff::{AutoDiff, Number, Residual, Transform2, Vector2, norm};
 //! use evergraph_model::testing::check_jacobian;
 //! use evergraph_model::{Graph, Noise, Point2, Pose2, Value};
-//! use nalgebra::Vector2;
 //!
 //! /// The distance from an antenna on the robot to a beacon.
 //! #[derive(Debug)]
@@ -52,6 +51,7 @@ use std::any::Any;
 use std::fmt::Debug;
 
 use evergraph_model::{Arguments, Factor, Linearization, Noise, VariableId, VariableType};
+pub use nalgebra::{SVector, Vector2, Vector3};
 pub use num_dual::{Dual64, DualNum};
 use smallvec::SmallVec;
 

@@ -120,6 +120,11 @@ pub fn values<A: Manifold, B: Manifold>(a: &A, b: &B) -> [Value; 2] {
     [Value::new(a), Value::new(b)]
 }
 
+/// A pose that is neither rolled nor pitched.
+pub fn level(x: f64, y: f64, z: f64, yaw: f64) -> Pose3 {
+    Pose3::new(Rot3::from_roll_pitch_yaw(0.0, 0.0, yaw), [x, y, z])
+}
+
 pub fn unit(dim: usize) -> Noise {
     Noise::isotropic(dim, 1.0).expect("one is a standard deviation")
 }
