@@ -66,8 +66,7 @@ impl Map {
         let start = Start::of(document, Initial::FromOdometry)?;
         let rows = start.rows().max(1) as f64;
         let sigmas = (start.objective().chi2 / rows).sqrt();
-        // Not `>`: what is no number agrees with nothing.
-        if !(sigmas < NOISE_FREE) {
+        if sigmas.is_nan() || sigmas >= NOISE_FREE {
             return Err(EvaluateError::Contradiction { file: document.name().into(), sigmas });
         }
         Self::of_estimates(document.name(), start.values())
