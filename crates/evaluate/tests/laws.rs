@@ -95,7 +95,8 @@ proptest! {
         prop_assert!(sse(&scaled) <= least * (1.0 + 1e-12));
         let step = Pose3::exp(&(step.log() * 10f64.powi(size)));
         for motion in [step.compose(&rigid.motion), rigid.motion.compose(&step), step] {
-            prop_assert!(sse(&Similarity { scale: 1.0, motion }) >= limit);
+            let other = Similarity { scale: 1.0, motion };
+            prop_assert!(sse(&other) >= limit);
         }
         for factor in [0.99, 1.01] {
             let other = Similarity { scale: scaled.scale * factor, ..scaled };

@@ -10,7 +10,7 @@ use evergraph_evaluate::{
 };
 use evergraph_factors::{BetweenPose2, Prior};
 use evergraph_formats::{Dialect, Document, ReadOptions, TrajectoryFormat};
-use evergraph_model::{Noise, Point2, Point3, Pose2, Pose3, Value};
+use evergraph_model::{LieGroup, Noise, Point2, Point3, Pose2, Pose3, Value};
 use evergraph_simulate::{Grid, Landmarks};
 use evergraph_solver::{BatchSettings, Relinearization, Settings, Smoother, Status};
 
@@ -25,12 +25,16 @@ fn ate(estimate: &Map, truth: &Map) -> AbsoluteError {
 #[test]
 fn truth_has_many_forms() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    let mut world = Grid::city(80, 5);
-    world.odometry = [1e-9; 3];
-    let world = world.generate().unwrap();
+    let world = Grid::city(80, 5).generate().unwrap();
     let truth = Map::of_document(&world.truth).unwrap();
-    let mut isam = Vec::new();
-    world.document.write(&mut isam, Dialect::Isam).unwrap();
+    let poses = truth.trajectory.poses();
+    let edge = |from: usize, to: usize| {
+        let z = poses[from].between(&poses[to]);
+        let yaw = z.rotation().roll_pitch_yaw()[2];
+        format!("EDGE2 {from} {to} {:.6} {:.6} {yaw:.6} 20 0 0 20 0 50\n", z.x(), z.y())
+    };
+    let odometry = (1..80).map(|k| edge(k - 1, k));
+    let isam: String = odometry.chain((30..80).map(|k| edge(k, k - 30))).collect();
     fs::write(folder.join("truth.txt"), &isam).unwrap();
     truth.trajectory.save(folder.join("truth.tum")).unwrap();
     truth.trajectory.save(folder.join("truth.kitti")).unwrap();
@@ -38,7 +42,7 @@ fn truth_has_many_forms() {
         let read = Map::read(folder.join(name), None, &ReadOptions::default()).unwrap();
         let error = ate(&read, &truth);
         assert_eq!(error.poses.len(), 80, "{name}");
-        assert!(error.translation.max < 1e-5 && error.rotation.max < 1e-6, "{name}: {error:?}");
+        assert!(error.translation.max < 1e-3 && error.rotation.max < 1e-4, "{name}: {error:?}");
     }
     let forced =
         Map::read(folder.join("truth.tum"), Some(TrajectoryFormat::Kitti), &ReadOptions::default());
@@ -61,7 +65,9 @@ fn noisy_edges_are_no_truth() {
 
 #[test]
 fn landmarks_are_measured_in_the_frame_of_the_poses() {
-    let world = Landmarks { poses: 60, ..Landmarks::default() }.generate().unwrap();
+    let mut world = Grid::city(60, 5);
+    world.landmarks = Some(Landmarks::default());
+    let world = world.generate().unwrap();
     let truth = Map::of_document(&world.truth).unwrap();
     assert!(truth.landmarks.len() > 5);
     // The whole map, turned by a quarter and one landmark 2 m off, one unknown, one missing.
@@ -112,7 +118,6 @@ fn bent_loop(poses: u32, sigma: f64) -> Smoother {
     let mut newest = first;
     for k in 1..poses {
         let mut change = smoother.change();
-        use evergraph_model::LieGroup;
         let guess = smoother.estimate(newest).unwrap().compose(&step);
         let next = change.add_variable(&guess);
         change.add_factor(BetweenPose2::new(newest, next, step, noise.clone()).unwrap());
