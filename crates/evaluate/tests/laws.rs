@@ -9,6 +9,7 @@ use evergraph_evaluate::{
 };
 use evergraph_formats::{Stamps, Trajectory};
 use evergraph_model::{LieGroup, Pose2, Pose3, Value};
+use nalgebra::Vector3;
 use proptest::collection::vec;
 use proptest::prelude::*;
 
@@ -122,29 +123,52 @@ proptest! {
     }
 }
 
-/// Positions on a line leave the turn about it open: the smallest is taken and said not to be the
-/// only one.
-#[test]
-fn a_straight_way_is_aligned_by_the_smallest_turn() {
-    let tilted = Pose3::exp(&[1.0, 2.0, 3.0, 0.1, 0.2, 0.3].into());
-    let along = |motion: &Pose3| -> Vec<Pose3> {
-        let at = |k: u32| Pose3::exp(&[f64::from(k), 0.0, 0.0, 0.0, 0.0, 0.0].into());
-        (0..10).map(|k| motion.compose(&at(k))).collect()
-    };
-    let turned = Pose3::exp(&[0.0, 0.0, 0.0, 0.0, 0.0, 1.0].into());
-    for (estimate, truth, angle) in [
-        (Pose3::identity(), turned, 1.0),
-        (tilted, tilted, 0.0),
-        (tilted, tilted.compose(&turned), 1.0),
-    ] {
+/// Positions on a line, one metre apart.
+fn along(motion: &Pose3) -> Vec<Pose3> {
+    let at = |k: u32| Pose3::exp(&[f64::from(k), 0.0, 0.0, 0.0, 0.0, 0.0].into());
+    (0..10).map(|k| motion.compose(&at(k))).collect()
+}
+
+proptest! {
+    /// A straight way leaves the turn about it open: the smallest turn is taken, the one between the
+    /// directions, and said not to be the only one.
+    #[test]
+    fn a_straight_way_is_aligned_by_the_smallest_turn(estimate in pose3(), truth in pose3()) {
         let pairs = pairs(&along(&estimate), &along(&truth));
         let aligned = pairs.align(Alignment::Rigid).unwrap();
-        let is_planar = pairs.is_planar();
-        assert_eq!(aligned.unique, is_planar);
-        assert!((aligned.similarity.motion.rotation().log().norm() - angle).abs() < 1e-9);
-        assert!(ate(&pairs, &aligned.similarity).translation.max < 1e-9);
+        prop_assert!(!aligned.unique);
+        prop_assert!(ate(&pairs, &aligned.similarity).translation.max < 1e-9);
+        let ahead = Vector3::x();
+        let [a, b] = [estimate, truth].map(|pose| pose.rotation().rotate(&ahead));
+        let turn = aligned.similarity.motion.rotation().log().norm();
+        prop_assert!((turn - a.angle(&b)).abs() < 1e-6, "{turn}, between the lines {}", a.angle(&b));
     }
-    // There and back: all rotations that do are half turns.
+
+    #[test]
+    fn partners_in_time_are_the_nearest(
+        few in vec(0..1000_u32, 1..10), many in vec(0..1000_u32, 10..60), reach in 0..100_u32
+    ) {
+        let sorted = |mut times: Vec<u32>| -> Vec<f64> {
+            times.sort_unstable();
+            times.iter().map(|&t| f64::from(t)).collect()
+        };
+        let (few, many, max_difference) = (sorted(few), sorted(many), f64::from(reach));
+        // Poses lie at their numbers, so that a pair says which they are.
+        let found = PosePairs::new(&timed(&few), &timed(&many), Association::Time { max_difference });
+        let found = found.map_or_else(|_| Vec::new(), |pairs| pairs.pairs().to_vec());
+        for (k, time) in few.iter().enumerate() {
+            let nearest = many.iter().map(|other| (other - time).abs()).fold(f64::INFINITY, f64::min);
+            let pair = found.iter().find(|pair| pair.estimate.x() == k as f64);
+            prop_assert_eq!(pair.is_some(), nearest <= max_difference);
+            if let Some(pair) = pair {
+                prop_assert_eq!((many[pair.truth.x() as usize] - time).abs(), nearest);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_way_back_is_aligned_by_half_a_turn() {
     let back = Pose3::exp(&[0.0, 0.0, 1.0, 0.0, std::f64::consts::PI, 0.0].into());
     let pairs = pairs(&along(&Pose3::identity()), &along(&back));
     let aligned = pairs.align(Alignment::Rigid).unwrap();
