@@ -63,9 +63,9 @@ pub struct PosePairs {
 impl PosePairs {
     /// Finds the partners.
     ///
-    /// By time, each pose of the trajectory with fewer poses (the truth, if they are equal) takes the nearest one of the other,
-    /// the earlier of two that are equally near; a pose of the longer one may serve twice. This is
-    /// what evo does.
+    /// By time, each pose of the trajectory with fewer poses (the truth, if they are equal) takes
+    /// the nearest one of the other, the earlier of two that are equally near; a pose of the longer
+    /// one may serve twice. This is what evo does.
     ///
     /// # Errors
     /// [`EvaluateError::NoMatch`], [`EvaluateError::NoIds`], [`EvaluateError::BadSetting`] for a

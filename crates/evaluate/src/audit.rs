@@ -38,7 +38,9 @@ impl AuditSample {
     /// errors (such as all but gauge priors); the optimum is that of all factors.
     ///
     /// The optimum is the one that the estimate leads to: an estimate in the basin of another, worse
-    /// optimum does not show.
+    /// optimum does not show. An estimate whose error over all factors is below 1e-6, as before the
+    /// first loop, counts as its own optimum: nothing that could be measured is left to gain, and
+    /// rounding would keep the optimization from an end.
     ///
     /// # Errors
     /// [`SmootherError`] when the copy cannot be optimized.
@@ -48,13 +50,16 @@ impl AuditSample {
         mut include: impl FnMut(FactorId) -> bool,
     ) -> Result<Self, SmootherError> {
         let error = smoother.error_of(&mut include);
-        let mut copy = smoother.clone();
-        let report = copy.optimize(settings)?;
-        let optimum = copy.error_of(&mut include);
+        let (optimum, status) = if smoother.error() < NEGLIGIBLE {
+            (error, Status::Converged)
+        } else {
+            let mut copy = smoother.clone();
+            let status = copy.optimize(settings)?.status;
+            (copy.error_of(&mut include), status)
+        };
         let excess = error - optimum;
         let relative_excess = (optimum >= NEGLIGIBLE).then(|| excess / optimum);
-        let (step, status) = (smoother.steps(), report.status);
-        Ok(Self { step, error, optimum, excess, relative_excess, status })
+        Ok(Self { step: smoother.steps(), error, optimum, excess, relative_excess, status })
     }
 }
 

@@ -228,7 +228,7 @@ fn from_rows(rows: &[f64; 12], words: &[&str], place: &Place) -> Result<Pose3, T
     let half = size.transpose() * rounding;
     let allowed = half + half.transpose() + rounding.transpose() * rounding;
     let fits = (0..9).all(|k| deviation[k].abs() <= ORTHOGONALITY + allowed[k]);
-    let rotation = if fits && determinant > 0.0 { closest_rotation(matrix) } else { None };
+    let rotation = if fits { closest_rotation(matrix) } else { None };
     let translation = Point3::new(rows[3], rows[7], rows[11]);
     rotation.map(|rotation| Pose3::new(rotation, translation)).ok_or_else(|| {
         TrajectoryError::NotARotation {
@@ -240,7 +240,7 @@ fn from_rows(rows: &[f64; 12], words: &[&str], place: &Place) -> Result<Pose3, T
 }
 
 /// The orthogonal factor of the polar decomposition, by Newton's iteration (Higham 1986), which
-/// squares the deviation in every step.
+/// squares the deviation in every step; `None` where that is a reflection.
 fn closest_rotation(mut matrix: Matrix3<f64>) -> Option<Rot3> {
     const STEPS: usize = 5;
     for _ in 0..STEPS {
