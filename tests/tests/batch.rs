@@ -67,3 +67,28 @@ fn an_empty_graph_is_at_its_optimum() {
     smoother.apply(smoother.change()).unwrap();
     assert!(smoother.estimates().is_empty());
 }
+
+/// Without a loop all measurements agree, and the error at the optimum is rounding.
+#[test]
+fn measurements_that_agree_exactly_converge() {
+    for method in [Method::GaussNewton, Method::LevenbergMarquardt, Method::Dogleg] {
+        let mut smoother = Smoother::new(Settings::default()).unwrap();
+        let mut change = smoother.change();
+        let noise = Noise::isotropic(3, 0.01).unwrap();
+        let mut truth = Pose2::new(1e5, -3e4, 2.0);
+        let mut pose = change.add_variable(&truth.compose(&Pose2::new(0.1, 0.2, 0.3)));
+        change.add_factor(Prior::new(pose, truth, noise.clone()).unwrap());
+        for k in 0..200 {
+            let step = Pose2::new(1.0, 0.1, 0.3 * f64::from(k).sin());
+            truth = truth.compose(&step);
+            let next = change.add_variable(&truth.compose(&Pose2::new(0.2, -0.1, 0.1)));
+            change.add_factor(BetweenPose2::new(pose, next, step, noise.clone()).unwrap());
+            pose = next;
+        }
+        smoother.apply(change).unwrap();
+        let report =
+            smoother.optimize(&BatchSettings { method, ..BatchSettings::default() }).unwrap();
+        assert_eq!(report.status, Status::Converged, "{method:?}: {report:?}");
+        assert!(report.iterations < 20 && report.error < 1e-9, "{method:?}: {report:?}");
+    }
+}

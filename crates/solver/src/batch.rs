@@ -40,7 +40,7 @@ pub struct BatchSettings {
     /// Most linearizations. Default 100.
     pub max_iterations: u32,
     /// Converged when a step lowers, or the linear model promises to lower, the error by less than
-    /// this share of it. Default 1e-11.
+    /// this share of it, or the step is lost in the rounding of what it moves. Default 1e-11.
     pub relative_decrease: f64,
 }
 
@@ -100,6 +100,10 @@ pub struct BatchReport {
 const FIRST_DAMPING: f64 = 1e-7;
 const DAMPING_FACTOR: f64 = 10.0;
 const LARGEST_DAMPING: f64 = 1e12;
+/// A step that moves every number by no more than this, relative to the number or to 1, whichever is
+/// larger, moves nothing: where measurements agree exactly, the error is rounding and no share of it
+/// means anything.
+const STILL: f64 = 1e-13;
 /// A trust region this small relative to the Gauss-Newton step moves nothing.
 const SMALLEST_RADIUS: f64 = 1e-14;
 
@@ -201,6 +205,7 @@ impl Smoother {
             let trial = retract_all(&self.graph, &self.points, &delta);
             let trial_error = self.graph.error(&trial);
             let promised = decrease_of_model(&self.graph, &self.blocks, &delta);
+            let still = is_still(&self.points, &trial);
             let negligible = settings.relative_decrease * error;
             // Written so that NaN is a failure.
             if trial_error.is_finite() && trial_error <= error {
@@ -212,10 +217,10 @@ impl Smoother {
                 eliminated = false;
                 damping = if damping <= FIRST_DAMPING { 0.0 } else { damping / DAMPING_FACTOR };
                 // A damped step is short because of the damping; only a full one proves the end.
-                if decrease <= negligible && damping == 0.0 {
+                if (decrease <= negligible || still) && damping == 0.0 {
                     break Status::Converged;
                 }
-            } else if promised <= negligible && damping == 0.0 {
+            } else if (promised <= negligible || still) && damping == 0.0 {
                 break Status::Converged;
             } else if !may_damp {
                 break Status::NotConverged(Reason::ErrorWouldRise);
@@ -262,6 +267,7 @@ impl Smoother {
                 let promised = decrease_of_model(&self.graph, &self.blocks, &delta);
                 let trial = retract_all(&self.graph, &self.points, &delta);
                 let trial_error = self.graph.error(&trial);
+                let still = is_still(&self.points, &trial);
                 if trial_error.is_finite() && trial_error <= error {
                     let decrease = error - trial_error;
                     let length = scaled_norm(&delta, &scale);
@@ -277,12 +283,12 @@ impl Smoother {
                     iterations += 1;
                     self.relinearize_all()?;
                     eliminated = false;
-                    if decrease <= negligible && full {
+                    if (decrease <= negligible || still) && full {
                         break 'outer Status::Converged;
                     }
                     break;
                 }
-                if promised <= negligible && radius >= newton_length {
+                if (promised <= negligible || still) && radius >= newton_length {
                     break 'outer Status::Converged;
                 }
                 radius = 0.25 * radius.min(newton_length);
@@ -333,4 +339,9 @@ impl Smoother {
         self.install_numbers(&job, eliminated);
         Ok(())
     }
+}
+
+/// Whether a step was lost in rounding.
+fn is_still(from: &[f64], to: &[f64]) -> bool {
+    from.iter().zip(to).all(|(a, b)| (a - b).abs() <= STILL * a.abs().max(1.0))
 }
