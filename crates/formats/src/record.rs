@@ -6,24 +6,67 @@ use smallvec::SmallVec;
 use crate::measurement::{LinearMeasurement, Measurement, Quantity};
 use crate::options::Dialect;
 use crate::tags::Tag;
+use crate::weight::Weight;
 
 /// A line of a graph file: what it says, and what the file says about it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
     /// The line, from 1; 0 for a record that was added later.
     pub number: usize,
-    /// When, in seconds, where the file says so (PyFactorGraph).
-    pub time: Option<f64>,
-    /// The robust kernel that the factor stands under; `None` for anything but a factor.
-    pub kernel: Option<Kernel>,
     /// What it says.
     pub record: Record,
+    /// Few lines have any, and a file has millions of lines.
+    notes: Option<Box<Notes>>,
+}
+
+/// What is said about a line.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Notes {
+    time: Option<f64>,
+    kernel: Option<Kernel>,
 }
 
 impl From<Record> for Line {
     /// A record of no file, without time and kernel.
     fn from(record: Record) -> Self {
-        Self { number: 0, time: None, kernel: None, record }
+        Self { number: 0, record, notes: None }
+    }
+}
+
+impl Line {
+    /// When, in seconds, where the file says so (PyFactorGraph).
+    pub fn time(&self) -> Option<f64> {
+        self.notes.as_ref()?.time
+    }
+
+    /// The robust kernel that the factor stands under; `None` for anything but a factor.
+    pub fn kernel(&self) -> Option<Kernel> {
+        self.notes.as_ref()?.kernel
+    }
+
+    /// The line with this number.
+    #[must_use]
+    pub fn numbered(self, number: usize) -> Self {
+        Self { number, ..self }
+    }
+
+    /// The line with this time, or none.
+    #[must_use]
+    pub fn with_time(self, time: Option<f64>) -> Self {
+        let kernel = self.kernel();
+        self.with_notes(Notes { time, kernel })
+    }
+
+    /// The line under this kernel, or none.
+    #[must_use]
+    pub fn with_kernel(self, kernel: Option<Kernel>) -> Self {
+        let time = self.time();
+        self.with_notes(Notes { time, kernel })
+    }
+
+    fn with_notes(self, notes: Notes) -> Self {
+        let notes = (notes != Notes::default()).then(|| Box::new(notes));
+        Self { notes, ..self }
     }
 }
 
@@ -92,37 +135,6 @@ pub enum Coordinates {
     Pose3Euler([f64; 6]),
     /// `x y z` (m).
     Point3([f64; 3]),
-}
-
-/// The matrix of a measurement, as it stands in the file.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Weight {
-    /// What the matrix is.
-    pub kind: WeightKind,
-    /// The order of its entries.
-    pub order: EntryOrder,
-    /// The entries; empty when the line had none (identity).
-    pub entries: SmallVec<[f64; 6]>,
-}
-
-/// What the matrix of a measurement is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WeightKind {
-    /// Information, the inverse of the covariance.
-    Information,
-    /// Upper triangular `R` with information `RᵀR`.
-    SquareRoot,
-    /// Covariance.
-    Covariance,
-}
-
-/// In which order the entries of a symmetric or triangular matrix are written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum EntryOrder {
-    /// The upper triangle, row by row.
-    UpperTriangle,
-    /// TORO's 2D order `11 12 22 33 13 23`.
-    Toro,
 }
 
 /// What a variable is.

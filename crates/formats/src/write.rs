@@ -98,9 +98,9 @@ impl Document {
                     continue;
                 };
                 writer.written.dropped_times +=
-                    usize::from(line.time.is_some() && converted.time.is_none());
+                    usize::from(line.time().is_some() && converted.time().is_none());
                 writer.written.added_times +=
-                    usize::from(line.time.is_none() && converted.time.is_some());
+                    usize::from(line.time().is_none() && converted.time().is_some());
                 writer.line(&converted).map_err(failed)?;
             }
         }
@@ -186,9 +186,9 @@ impl<W: Write> Writer<'_, W> {
             leave_out(tag.name);
             return Ok(());
         }
-        if self.options.plain && line.kernel.is_some() {
+        if self.options.plain && line.kernel().is_some() {
             leave_out(ROBUST);
-            plain = Line { kernel: None, ..line.clone() };
+            plain = line.clone().with_kernel(None);
             line = &plain;
         }
         self.text.clear();

@@ -13,7 +13,8 @@ use crate::convert;
 use crate::document::Document;
 use crate::error::{FormatError, Place};
 use crate::matrix;
-use crate::record::{Coordinates, Kind, Weight, WeightKind};
+use crate::record::{Coordinates, Kind};
+use crate::weight::{Weight, WeightKind};
 
 /// A typed key of any of the file's kinds.
 #[derive(Clone, Copy, Debug)]
