@@ -23,6 +23,7 @@
 //! | [`Attitude`] | pose in space | logarithm on the sphere of `Cᵀ g` at `m` | 2 |
 //! | [`RollPitch`] | pose in space | ZYX roll and pitch | 2 |
 //! | [`Heading2`], [`Heading3`] | pose | `wrap(heading - psi)` | 1 |
+//! | [`AutoDiff`] | one to four | your own, with an exact Jacobian; see [`autodiff`] | any |
 //! | [`Linear`] | any, any number | `G (Local(x̂', r(x)) - d')` | any |
 //!
 //! Constructors refuse what cannot be measured (numbers that are not finite, a noise of another
@@ -63,11 +64,13 @@
 #![deny(missing_docs)]
 
 mod attitude;
+pub mod autodiff;
 mod bearing2;
 mod bearing3;
 mod between;
 mod differences;
 mod error;
+mod geodetic;
 mod gps;
 mod landmark;
 mod linear;
@@ -81,6 +84,7 @@ mod root_shift;
 mod sphere;
 
 pub use attitude::{Attitude, RollPitch};
+pub use autodiff::AutoDiff;
 pub use bearing2::{Bearing2, BearingRange2};
 pub use bearing3::{Bearing3, BearingRange3};
 pub use between::{
@@ -90,6 +94,7 @@ pub use differences::{
     DepthDifference, HeadingDifference, TranslationDifference2, TranslationDifference3,
 };
 pub use error::FactorError;
+pub use geodetic::{Geodetic, GeodeticError, LocalFrame};
 pub use gps::{GpsPosition2, GpsPosition3};
 pub use landmark::{RelativePosition2, RelativePosition3};
 pub use linear::Linear;

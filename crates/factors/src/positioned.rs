@@ -16,7 +16,7 @@ pub trait Positioned<const D: usize>: Manifold {
     fn chain<const R: usize>(&self, by_position: &SMatrix<f64, R, D>, out: &mut [f64]);
 }
 
-/// The position of a pose moves along its own axes and is first in the tangent.
+// The position of a pose moves along its own axes and is first in the tangent.
 macro_rules! positioned {
     ($pose:ty, $point:ty, $dim:literal) => {
         impl Positioned<$dim> for $pose {
@@ -53,10 +53,11 @@ positioned!(Pose3, Point3, 3);
 /// Scaled by the largest component first, so that no square leaves the range of `f64`.
 #[inline]
 pub(crate) fn polar<const D: usize>(v: &SVector<f64, D>) -> (f64, Option<SVector<f64, D>>) {
-    let largest = v.amax();
-    if largest < f64::MIN_POSITIVE {
-        return (largest, None);
+    // Not by the largest, which leaves out NaN.
+    if v.iter().all(|x| x.abs() < f64::MIN_POSITIVE) {
+        return (0.0, None);
     }
+    let largest = v.amax();
     let scaled = v / largest;
     let norm = scaled.norm();
     (largest * norm, Some(scaled / norm))

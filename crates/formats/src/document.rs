@@ -2,15 +2,18 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Seek};
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::check::{self, Finding, Kinds};
+use crate::check::{self, Finding};
 use crate::error::{FormatError, Place};
+use crate::kinds::Kinds;
 use crate::options::{Dialect, G2oRotation, ReadOptions};
 use crate::parse;
-use crate::record::{Kind, Line, Record, WeightKind};
+use crate::reconcile::reconcile;
+use crate::record::{Kind, Line, Record};
+use crate::weight::WeightKind;
 
 /// The records of a graph file, in the order of its lines and in the file's own numbers.
 ///
@@ -77,7 +80,12 @@ impl Summary {
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if self.skipped > 0 {
-            warnings.push(format!("{} bad lines were skipped", self.skipped));
+            let listed = if self.skipped > parse::LISTED {
+                format!("; the first {} are listed", parse::LISTED)
+            } else {
+                String::new()
+            };
+            warnings.push(format!("{} bad lines were skipped{listed}", self.skipped));
         }
         if self.clipped > 0 {
             warnings.push(format!(
@@ -142,7 +150,14 @@ impl Document {
         let name = path.display().to_string();
         let open = |source| FormatError::Read { file: name.as_str().into(), source };
         let file = File::open(path).map_err(open)?;
-        Self::parse(&name, BufReader::with_capacity(1 << 16, file), options)
+        let parse = |options| Self::parse(&name, BufReader::with_capacity(1 << 16, &file), options);
+        match parse(options) {
+            // A pipe cannot be read again; the error then says how to help.
+            Err(FormatError::EdgesBeforeVertices { .. }) if (&file).rewind().is_ok() => {
+                parse(&ReadOptions { format: Some(Dialect::Toro), ..options.clone() })
+            }
+            result => result,
+        }
     }
 
     /// Reads a graph from anything that gives bytes, such as `text.as_bytes()`; `name` stands for
@@ -181,9 +196,9 @@ impl Document {
         let name: Arc<str> = name.into();
         let mut contents = Contents { dialect: Some(dialect), ..Contents::default() };
         for (index, record) in records.into_iter().enumerate() {
-            let line = Line { number: index + 1, ..record.into() };
+            let line = record.into().numbered(index + 1);
             let place = Place { file: Arc::clone(&name), line: line.number };
-            let finding = check::inspect(&line.record, line.record.name(), &place, Vec::new)?;
+            let finding = check::inspect(&line, line.record.name(), &place, |_| Vec::new())?;
             contents.note(finding);
             contents.lines.push(line);
         }
@@ -199,7 +214,7 @@ impl Document {
         let mut lines = std::mem::take(&mut contents.lines);
         let dialect = contents.dialect.unwrap_or(Dialect::G2o);
         let numbered_apart = dialect == Dialect::Isam;
-        let kinds = check::reconcile(&name, &mut lines, numbered_apart, |error| {
+        let kinds = reconcile(&name, &mut lines, numbered_apart, |error| {
             let line = error.line();
             contents.reject(error, line, options.lenient)
         })?;
@@ -228,6 +243,12 @@ impl Document {
         self.dialect
     }
 
+    /// Whether VERTEX lines are ground truth rather than an estimate: they are in PyFactorGraph's
+    /// files.
+    pub fn vertices_are_truth(&self) -> bool {
+        self.dialect == Dialect::Pyfg
+    }
+
     /// The records with the lines they stand in.
     pub fn lines(&self) -> &[Line] {
         &self.lines
@@ -251,15 +272,12 @@ impl Document {
     /// What a variable is, if it is here. Where a pose and a landmark have the same id, as in some
     /// iSAM files, which number them apart, it is the pose.
     pub fn kind(&self, id: u64) -> Option<Kind> {
-        self.kinds.get(&(id, true)).or(self.kinds.get(&(id, false))).copied()
+        self.kinds.get(id, true).or(self.kinds.get(id, false))
     }
 
     /// All variables, by id, a pose before a landmark.
     pub fn ids(&self) -> Vec<(u64, Kind)> {
-        let mut ids: Vec<(u64, Kind)> =
-            self.kinds.iter().map(|(slot, kind)| (slot.0, *kind)).collect();
-        ids.sort_unstable_by_key(|(id, kind)| (*id, !kind.is_pose()));
-        ids
+        self.kinds.as_slice().to_vec()
     }
 
     pub(crate) fn place(&self, line: usize) -> Place {
@@ -269,7 +287,8 @@ impl Document {
 
 impl Summary {
     pub(crate) fn count(&mut self, lines: &[Line], kinds: &Kinds) {
-        self.poses = kinds.values().filter(|kind| kind.is_pose()).count();
+        let kinds = kinds.as_slice();
+        self.poses = kinds.iter().filter(|(_, kind)| kind.is_pose()).count();
         self.landmarks = kinds.len() - self.poses;
         (self.vertices, self.pose_edges, self.landmark_edges) = (0, 0, 0);
         (self.fixed, self.offsets, self.measurements) = (0, 0, 0);

@@ -3,25 +3,70 @@
 use evergraph_model::Kernel;
 use smallvec::SmallVec;
 
-use crate::measurement::{LinearMeasurement, Measurement};
+use crate::measurement::{LinearMeasurement, Measurement, Quantity};
+use crate::options::Dialect;
+use crate::tags::Tag;
+use crate::weight::Weight;
 
 /// A line of a graph file: what it says, and what the file says about it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
     /// The line, from 1; 0 for a record that was added later.
     pub number: usize,
-    /// When, in seconds, where the file says so (PyFactorGraph).
-    pub time: Option<f64>,
-    /// The robust kernel that the factor stands under; `None` for anything but a factor.
-    pub kernel: Option<Kernel>,
     /// What it says.
     pub record: Record,
+    /// Few lines have any, and a file has millions of lines.
+    notes: Option<Box<Notes>>,
+}
+
+/// What is said about a line.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Notes {
+    time: Option<f64>,
+    kernel: Option<Kernel>,
 }
 
 impl From<Record> for Line {
     /// A record of no file, without time and kernel.
     fn from(record: Record) -> Self {
-        Self { number: 0, time: None, kernel: None, record }
+        Self { number: 0, record, notes: None }
+    }
+}
+
+impl Line {
+    /// When, in seconds, where the file says so (PyFactorGraph).
+    pub fn time(&self) -> Option<f64> {
+        self.notes.as_ref()?.time
+    }
+
+    /// The robust kernel that the factor stands under; `None` for anything but a factor.
+    pub fn kernel(&self) -> Option<Kernel> {
+        self.notes.as_ref()?.kernel
+    }
+
+    /// The line with this number.
+    #[must_use]
+    pub fn numbered(self, number: usize) -> Self {
+        Self { number, ..self }
+    }
+
+    /// The line with this time, or none.
+    #[must_use]
+    pub fn with_time(self, time: Option<f64>) -> Self {
+        let kernel = self.kernel();
+        self.with_notes(Notes { time, kernel })
+    }
+
+    /// The line under this kernel, or none.
+    #[must_use]
+    pub fn with_kernel(self, kernel: Option<Kernel>) -> Self {
+        let time = self.time();
+        self.with_notes(Notes { time, kernel })
+    }
+
+    fn with_notes(self, notes: Notes) -> Self {
+        let notes = (notes != Notes::default()).then(|| Box::new(notes));
+        Self { notes, ..self }
     }
 }
 
@@ -92,37 +137,6 @@ pub enum Coordinates {
     Point3([f64; 3]),
 }
 
-/// The matrix of a measurement, as it stands in the file.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Weight {
-    /// What the matrix is.
-    pub kind: WeightKind,
-    /// The order of its entries.
-    pub order: EntryOrder,
-    /// The entries; empty when the line had none (identity).
-    pub entries: SmallVec<[f64; 6]>,
-}
-
-/// What the matrix of a measurement is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WeightKind {
-    /// Information, the inverse of the covariance.
-    Information,
-    /// Upper triangular `R` with information `RᵀR`.
-    SquareRoot,
-    /// Covariance.
-    Covariance,
-}
-
-/// In which order the entries of a symmetric or triangular matrix are written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum EntryOrder {
-    /// The upper triangle, row by row.
-    UpperTriangle,
-    /// TORO's 2D order `11 12 22 33 13 23`.
-    Toro,
-}
-
 /// What a variable is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Kind {
@@ -140,6 +154,11 @@ impl Kind {
     /// Whether it is a pose; else it is a landmark.
     pub fn is_pose(self) -> bool {
         matches!(self, Self::Pose2 | Self::Pose3)
+    }
+
+    /// Whether it is in space; else it is in the plane.
+    pub fn is_in_space(self) -> bool {
+        matches!(self, Self::Pose3 | Self::Point3)
     }
 
     /// The kind of pose that measures it.
@@ -211,14 +230,27 @@ impl Record {
         }
     }
 
+    /// The sensor offset that a measurement names.
+    pub(crate) fn parameter(&self) -> Option<u64> {
+        match self {
+            Self::Edge { parameter, .. } => *parameter,
+            Self::Measurement(measurement) => measurement.parameter,
+            _ => None,
+        }
+    }
+
+    /// Whether its matrix has rows for the rotation of a 3D pose that g2o weights in its own units.
+    pub(crate) fn has_rotation_rows(&self) -> bool {
+        match self {
+            Self::Edge { measurement, .. } => measurement.kind() == Kind::Pose3,
+            Self::Measurement(m) => m.quantity == Quantity::Prior && m.ends[0].1 == Kind::Pose3,
+            _ => false,
+        }
+    }
+
     /// The tag that messages use, g2o's.
     pub(crate) fn name(&self) -> &'static str {
         match self {
-            Self::Fix { .. } => "FIX",
-            Self::SensorOffset { .. } => "PARAMS_SE3OFFSET",
-            Self::GeodeticOrigin { .. } => "GEODETIC_ORIGIN",
-            Self::Linear(_) => "FACTOR_LINEAR",
-            Self::Measurement(measurement) => measurement.tag(),
             Self::Vertex { at, .. } => match at.kind() {
                 Kind::Pose2 => "VERTEX_SE2",
                 Kind::Pose3 => "VERTEX_SE3:QUAT",
@@ -231,6 +263,8 @@ impl Record {
                 Kind::Point2 => "EDGE_SE2_XY",
                 Kind::Point3 => "EDGE_SE3_TRACKXYZ",
             },
+            Self::SensorOffset { .. } => "PARAMS_SE3OFFSET",
+            other => Tag::of(other, Dialect::G2o).map_or("FACTOR", |tag| tag.name),
         }
     }
 }

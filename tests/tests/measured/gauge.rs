@@ -134,9 +134,7 @@ fn known_beacons_hold_a_robot_that_only_ranges() {
     for (id, (x, y)) in [(100, (0.0, 0.0)), (101, (15.0, 0.0)), (102, (5.0, 12.0))] {
         world.landmark2(id, x, y);
         world.prior(id);
-        (0..12).for_each(|pose| {
-            world.range(pose, id);
-        });
+        (0..12).for_each(|pose| world.range(pose, id));
     }
     let replayer = world.replay();
     assert!(replayer.replay().gauge_priors().is_empty());

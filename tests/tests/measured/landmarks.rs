@@ -90,9 +90,7 @@ fn bearings_that_do_not_meet_place_nothing() {
 fn ranges_from_along_a_line_fit_two_places() {
     let mut world = straight();
     world.landmark2(50, 4.0, 6.0);
-    (0..10).for_each(|pose| {
-        world.range(pose, 50);
-    });
+    (0..10).for_each(|pose| world.range(pose, 50));
     assert_eq!(world.replay().replay().held_back(), 1, "it may be on either side");
 
     // Pose 10 is off the line.
@@ -116,9 +114,7 @@ fn ranges_from_a_plane_fit_two_places() {
     }
     (1..5).for_each(|id| world.edge(id - 1, id));
     world.landmark3(50, 2.0, 1.0, 5.0);
-    (0..5).for_each(|pose| {
-        world.range(pose, 50);
-    });
+    (0..5).for_each(|pose| world.range(pose, 50));
     assert_eq!(world.replay().replay().held_back(), 1, "it may be above or below");
 
     let above = Pose3::new(LieGroup::identity(), Point3::new(0.0, 0.0, 4.0));
@@ -133,9 +129,7 @@ fn ranges_from_a_plane_fit_two_places() {
 fn a_landmark_starts_at_its_vertex_if_told_so() {
     let mut world = straight();
     world.landmark2(50, 4.0, 6.0);
-    (0..10).for_each(|pose| {
-        world.range(pose, 50);
-    });
+    (0..10).for_each(|pose| world.range(pose, 50));
     for truth in world.truth.clone() {
         let (id, at) = (truth.0, truth.1.coordinates());
         world.add(evergraph::formats::Record::Vertex { id, at });

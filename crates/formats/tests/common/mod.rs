@@ -2,6 +2,8 @@
 #![allow(dead_code, reason = "each test program uses its own part")]
 #![allow(clippy::print_stdout, reason = "a test says what it skipped or saw")]
 
+pub mod lines;
+
 use std::path::{Path, PathBuf};
 
 use evergraph_formats::{Document, ReadOptions, WeightKind};
@@ -44,8 +46,10 @@ fn is_graph(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
     match extension {
-        "g2o" | "graph" | "toro" | "outliers" => true,
+        "g2o" | "graph" | "toro" | "outliers" | "pyfg" => true,
         "log" => name.contains("flirt"),
+        // Of the folder of ranges only the PyFactorGraph files are graphs.
+        "txt" if path.components().any(|part| part.as_os_str() == "range") => false,
         "txt" => !name.starts_with("dlr_") && !name.contains("timestamps"),
         _ => false,
     }
