@@ -131,9 +131,7 @@ impl Replay {
                     })
             }
             (Some((_, start)), _, _) => Ok(start),
-            (None, _, _) => {
-                Err(bad(&self.place(Some(link)), "its other end has not come in yet"))
-            }
+            (None, _, _) => Err(bad(&self.place(Some(link)), "its other end has not come in yet")),
         }
     }
 

@@ -131,11 +131,17 @@ fn factor_of(
         }
         (Q::Partial, [H::Pose2(a), H::Pose2(b)]) => {
             let combinations = at.combinations(3, 3)?;
-            wrap(PartialBetween::with_combinations(*a, *b, at.pose2()?, combinations, noise), kernel)
+            wrap(
+                PartialBetween::with_combinations(*a, *b, at.pose2()?, combinations, noise),
+                kernel,
+            )
         }
         (Q::Partial, [H::Pose3(a), H::Pose3(b)]) => {
             let combinations = at.combinations(7, 6)?;
-            wrap(PartialBetween::with_combinations(*a, *b, at.pose3()?, combinations, noise), kernel)
+            wrap(
+                PartialBetween::with_combinations(*a, *b, at.pose3()?, combinations, noise),
+                kernel,
+            )
         }
         _ => Err("its ends are not of the kinds that it measures".into()),
     }

@@ -88,11 +88,7 @@ impl Replay {
         (0..self.nodes.len()).filter(|&component| held[component]).collect()
     }
 
-    fn settle_component(
-        &self,
-        component: usize,
-        steps: &mut [Planned],
-    ) -> Result<(), FormatError> {
+    fn settle_component(&self, component: usize, steps: &mut [Planned]) -> Result<(), FormatError> {
         let of_component = |step: &Planned| {
             step.arrivals.first().is_some_and(|first| self.component[first.node] == component)
         };
@@ -275,8 +271,7 @@ impl Replay {
         let (factor, directions) = if let Some(free) = free {
             let basis = free.qr().q();
             let (rows, zero) = (basis.transpose() / sigma, DVector::zeros(basis.nrows()));
-            let factor =
-                Linear::new(&[(handle.id(), start.value())], RootShift::None, rows, zero);
+            let factor = Linear::new(&[(handle.id(), start.value())], RootShift::None, rows, zero);
             let factor = factor.map_err(|error| bad(&place, error))?;
             (change.add_factor(factor), basis.ncols())
         } else {

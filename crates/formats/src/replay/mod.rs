@@ -240,8 +240,7 @@ impl Replay {
         };
         replay.gather(document)?;
         let has_times = replay.links.iter().any(|link| link.time.is_some());
-        let by =
-            if document.dialect() == Dialect::G2o && !has_times { By::Id } else { By::Line };
+        let by = if document.dialect() == Dialect::G2o && !has_times { By::Id } else { By::Line };
         replay.component = order::components(count, &replay.links);
         replay.steps = order::plan(&replay.nodes, &replay.links, &replay.fixed, by);
         replay.settle_gauge()?;

@@ -188,11 +188,16 @@ impl Problem<'_> {
 
     fn descend(&self, start: Vector3<f64>) -> Option<(Vector3<f64>, Quadratic)> {
         let least = vec![1.0 / (KNOWN * KNOWN); self.kind.dim()];
-        minimize(start, &least, |at| self.quadratic(at), |at, step| {
-            let mut next = *at;
-            next.iter_mut().zip(step.iter()).for_each(|(x, d)| *x += d);
-            Some(next)
-        })
+        minimize(
+            start,
+            &least,
+            |at| self.quadratic(at),
+            |at, step| {
+                let mut next = *at;
+                next.iter_mut().zip(step.iter()).for_each(|(x, d)| *x += d);
+                Some(next)
+            },
+        )
     }
 
     fn quadratic(&self, at: &Vector3<f64>) -> Quadratic {
