@@ -32,8 +32,9 @@ macro_rules! line_of {
                 return factor.record($exporter).map(Line::from);
             }
             if let Some(robust) = any.downcast_ref::<Robust<$type>>() {
-                let line = Line::from(robust.inner().record($exporter)?);
-                return Some(line.with_kernel(Some(robust.kernel())));
+                let mut line = Line::from(robust.inner().record($exporter)?);
+                line.set_kernel(Some(robust.kernel()));
+                return Some(line);
             }
         )*
         None
