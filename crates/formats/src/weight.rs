@@ -75,14 +75,6 @@ impl FromIterator<f64> for Entries {
     }
 }
 
-impl Weight {
-    /// Whether it is the same to the last bit.
-    pub(crate) fn has_bits_of(&self, other: &Self) -> bool {
-        (self.kind, self.order) == (other.kind, other.order)
-            && self.entries.has_bits_of(&other.entries)
-    }
-}
-
 impl Entries {
     fn has_bits_of(&self, entries: &[f64]) -> bool {
         self.len() == entries.len()

@@ -22,7 +22,7 @@ impl Document {
     /// Files hold variables of the types `Pose2`, `Pose3`, `Point2` and `Point3`, and every factor
     /// of this library on them, under a robust kernel or not. Matrices are written as information:
     /// what is read again has the same residuals to rounding, and made into a document again it
-    /// is the same document, bit for bit.
+    /// is the same document: bit for bit, but for the last digits of information that is singular.
     ///
     /// # Errors
     /// [`FormatError::NoLineForVariable`] and [`FormatError::NoLineForFactor`] for types of others,
