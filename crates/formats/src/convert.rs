@@ -157,8 +157,10 @@ impl<'a> Converter<'a> {
         }
         let Some(record) = self.record(&line.record, &place)? else { return Ok(None) };
         let time = if self.target == Dialect::Pyfg { self.time(line) } else { None };
-        let converted = Line::from(record).numbered(line.number);
-        Ok(Some(converted.with_time(time).with_kernel(line.kernel())))
+        let mut converted = Line::new(line.number, record);
+        converted.set_time(time);
+        converted.set_kernel(line.kernel());
+        Ok(Some(converted))
     }
 
     /// The line's time; where it has none and needs one, the rank of its last pose.

@@ -196,7 +196,8 @@ impl Document {
         let name: Arc<str> = name.into();
         let mut contents = Contents { dialect: Some(dialect), ..Contents::default() };
         for (index, record) in records.into_iter().enumerate() {
-            let line = record.into().numbered(index + 1);
+            let mut line: Line = record.into();
+            line.number = index + 1;
             let place = Place { file: Arc::clone(&name), line: line.number };
             let finding = check::inspect(&line, line.record.name(), &place, |_| Vec::new())?;
             contents.note(finding);

@@ -111,7 +111,7 @@ impl Document {
 }
 
 /// A value in the numbers that a dialect writes, if files can hold its type.
-fn coordinates(value: &Value, dialect: Dialect) -> Option<Coordinates> {
+pub(crate) fn coordinates(value: &Value, dialect: Dialect) -> Option<Coordinates> {
     if let Some(pose) = value.get::<Pose2>() {
         return Some(Coordinates::Pose2([pose.x(), pose.y(), pose.theta()]));
     }

@@ -63,6 +63,7 @@ mod convert;
 mod document;
 mod error;
 mod estimate;
+mod export;
 mod fields;
 mod kinds;
 mod matrix;

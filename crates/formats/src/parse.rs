@@ -207,8 +207,8 @@ impl Parser<'_> {
         }
         self.records.clear();
         tag.read(rest, place, matrix, &mut self.recent, |line| self.records.push(line))?;
-        for line in self.records.drain(..) {
-            let line = line.with_kernel(kernel);
+        for mut line in self.records.drain(..) {
+            line.set_kernel(kernel);
             let texts = |entries| {
                 let words: Vec<&str> = rest.split_ascii_whitespace().collect();
                 words[words.len().saturating_sub(entries)..].to_vec()

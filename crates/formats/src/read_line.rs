@@ -35,7 +35,11 @@ impl Tag {
     ) -> Result<(), FormatError> {
         let mut fields = Fields::new(self, rest, place, recent);
         let time = fields.time()?;
-        let mut put = |record: Record| out(Line::from(record).numbered(place.line).with_time(time));
+        let mut put = |record: Record| {
+            let mut line = Line::new(place.line, record);
+            line.set_time(time);
+            out(line);
+        };
         if self.shape == Shape::Fix {
             let mut ids: SmallVec<[u64; 4]> = SmallVec::from_slice(&[fields.id()?]);
             while !fields.is_at_end() {

@@ -29,11 +29,16 @@ struct Notes {
 impl From<Record> for Line {
     /// A record of no file, without time and kernel.
     fn from(record: Record) -> Self {
-        Self { number: 0, record, notes: None }
+        Self::new(0, record)
     }
 }
 
 impl Line {
+    /// What line `number` says.
+    pub fn new(number: usize, record: Record) -> Self {
+        Self { number, record, notes: None }
+    }
+
     /// When, in seconds, where the file says so (PyFactorGraph).
     pub fn time(&self) -> Option<f64> {
         self.notes.as_ref()?.time
@@ -44,29 +49,18 @@ impl Line {
         self.notes.as_ref()?.kernel
     }
 
-    /// The line with this number.
-    #[must_use]
-    pub fn numbered(self, number: usize) -> Self {
-        Self { number, ..self }
+    /// Gives it a time, or none.
+    pub fn set_time(&mut self, time: Option<f64>) {
+        self.set_notes(Notes { time, kernel: self.kernel() });
     }
 
-    /// The line with this time, or none.
-    #[must_use]
-    pub fn with_time(self, time: Option<f64>) -> Self {
-        let kernel = self.kernel();
-        self.with_notes(Notes { time, kernel })
+    /// Puts it under a kernel, or none.
+    pub fn set_kernel(&mut self, kernel: Option<Kernel>) {
+        self.set_notes(Notes { time: self.time(), kernel });
     }
 
-    /// The line under this kernel, or none.
-    #[must_use]
-    pub fn with_kernel(self, kernel: Option<Kernel>) -> Self {
-        let time = self.time();
-        self.with_notes(Notes { time, kernel })
-    }
-
-    fn with_notes(self, notes: Notes) -> Self {
-        let notes = (notes != Notes::default()).then(|| Box::new(notes));
-        Self { notes, ..self }
+    fn set_notes(&mut self, notes: Notes) {
+        self.notes = (notes != Notes::default()).then(|| Box::new(notes));
     }
 }
 
