@@ -48,19 +48,12 @@ fn lines_with_times_come_in_their_order() {
     world.truth.insert(2, Truth::Pose2(Pose2::new(2.0, 0.0, 0.0)));
     for (from, to, time) in [(2, 0, 1.0), (0, 1, 2.0)] {
         world.edge(from, to);
-<<<<<<< HEAD
-        world.note(|line| line.with_time(Some(time)));
+        world.note(|line| line.set_time(Some(time)));
     }
     world.range(0, 1);
-    world.note(|line| line.with_time(Some(3.0)));
+    world.note(|line| line.set_time(Some(3.0)));
     world.range(0, 2);
-    world.note(|line| line.with_time(Some(2.0)));
-=======
-        world.lines.last_mut().unwrap().set_time(Some(time));
-    }
-    world.range(0, 1).set_time(Some(3.0));
-    world.range(0, 2).set_time(Some(2.0));
->>>>>>> wip-formats
+    world.note(|line| line.set_time(Some(2.0)));
     // Odometry of time 1 brings 0 and 2 in, that of time 2 pose 1; the ranges follow.
     assert_eq!(lines(&world), [vec![], vec![1], vec![2, 3, 4]]);
     let replayer = world.replay();
@@ -74,17 +67,11 @@ fn kernels_of_the_file_go_before_those_of_the_options() {
     let mut world = World::default();
     world.drive2(0..2, Pose2::identity(), 0.2);
     world.range(0, 1);
-<<<<<<< HEAD
     world.range(1, 0);
-    world.note(|line| line.with_kernel(Some(Kernel::pseudo_huber(2.0).unwrap())));
+    world.note(|line| line.set_kernel(Some(Kernel::pseudo_huber(2.0).unwrap())));
     world.position(1);
     world.measure(Quantity::Heading, &[1], &[0.2]);
-    world.note(|line| line.with_kernel(Some(Kernel::huber(3.0).unwrap())));
-=======
-    world.range(1, 0).set_kernel(Some(Kernel::pseudo_huber(2.0).unwrap()));
-    world.position(1);
-    world.measure(Quantity::Heading, &[1], &[0.2]).set_kernel(Some(Kernel::huber(3.0).unwrap()));
->>>>>>> wip-formats
+    world.note(|line| line.set_kernel(Some(Kernel::huber(3.0).unwrap())));
     let options =
         ReplayOptions { kernel: Some(Kernel::huber(1.0).unwrap()), ..ReplayOptions::default() };
     let mut replay = Replay::new(&world.document(), &options).unwrap();

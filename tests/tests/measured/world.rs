@@ -128,9 +128,8 @@ impl World {
     }
 
     /// Changes what the file says about the last line.
-    pub fn note(&mut self, note: impl FnOnce(Line) -> Line) {
-        let last = self.lines.pop().map(note);
-        self.lines.extend(last);
+    pub fn note(&mut self, note: impl FnOnce(&mut Line)) {
+        note(self.lines.last_mut().expect("a line was added"));
     }
 
     /// A measurement of one variable or two with these numbers.
