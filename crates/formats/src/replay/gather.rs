@@ -78,8 +78,8 @@ impl Replay {
             return Err(bad(&place, "it has no variables"));
         }
         let kinds: SmallVec<[Kind; 2]> = ends.iter().map(|&end| self.nodes[end].kind).collect();
-        let kernel = line.kernel.or(observed.kernel(ends.len(), self.options.kernel));
-        self.links.push(Link { ties: observed.ties(&kinds), ends, time: line.time });
+        let kernel = line.kernel().or(observed.kernel(ends.len(), self.options.kernel));
+        self.links.push(Link { ties: observed.ties(&kinds), ends, time: line.time() });
         self.observations.push(Observation { line: line.number, kernel, what: observed });
         Ok(())
     }

@@ -13,7 +13,8 @@ use crate::document::Document;
 use crate::error::{FormatError, Place};
 use crate::matrix;
 use crate::measurement::{LinearMeasurement, Measurement, Quantity};
-use crate::record::{Coordinates, Kind, Line, Weight, WeightKind};
+use crate::record::{Coordinates, Kind, Line};
+use crate::weight::{Weight, WeightKind};
 
 /// A line that is a factor.
 #[derive(Clone, Debug)]
