@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use clap::CommandFactory;
 use clap::error::ErrorKind;
+use evergraph::evaluate::EvaluateError;
 use evergraph::formats::{Document, FormatError};
 use evergraph::simulate::WorldError;
 use evergraph::solver::Singular;
@@ -28,6 +29,9 @@ pub(crate) enum Error {
     /// The file is bad.
     #[error(transparent)]
     Format(#[from] FormatError),
+    /// Something cannot be evaluated.
+    #[error(transparent)]
+    Evaluate(#[from] EvaluateError),
     /// A step of a replay was refused.
     #[error(transparent)]
     Replay(#[from] ReplayerError),

@@ -2,6 +2,7 @@
 
 use std::collections::{HashMap, HashSet};
 
+use evergraph_evaluate::conventions::unwrapped;
 use evergraph_factors::{BetweenPose2, BetweenPose3, RelativePosition2, RelativePosition3};
 use evergraph_formats::{Document, Initial, Record, Replay, ReplayOptions};
 use evergraph_model::{
@@ -11,7 +12,6 @@ use evergraph_solver::{Settings, SmootherError};
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 use crate::chordal_linear::{Relation, solve};
-use crate::conventions::unwrapped;
 use crate::replayer::ReplayerError;
 
 /// Values for the poses and landmarks of a document from its measurements alone, near enough to the

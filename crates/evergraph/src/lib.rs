@@ -10,6 +10,7 @@
 //! | [`solver`] | the [`Smoother`]: incremental updates, batch optimization, relinearization |
 //! | [`formats`] | g2o, TORO and iSAM files, and their replay |
 //! | [`simulate`] | worlds with known truth |
+//! | [`evaluate`] | errors of a map against truth and against the batch optimum |
 //!
 //! # Embed it
 //!
@@ -65,13 +66,14 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
+mod audit;
 mod chordal;
 mod chordal_linear;
-pub mod conventions;
 mod overview;
 mod replayer;
 mod words;
 
+pub use evergraph_evaluate as evaluate;
 pub use evergraph_factors as factors;
 pub use evergraph_formats as formats;
 pub use evergraph_model as model;
@@ -79,10 +81,10 @@ pub use evergraph_simulate as simulate;
 pub use evergraph_solver as solver;
 
 pub use chordal::chordal;
-pub use conventions::Objective;
+pub use evergraph_evaluate::{Objective, Start, conventions};
 pub use evergraph_model::{Change, Factor, Graph, Values};
 pub use evergraph_solver::{Report, Settings, Smoother, SmootherError};
-pub use overview::{Component, Overview, Start};
+pub use overview::{Component, Overview};
 pub use replayer::{Replayed, Replayer, ReplayerError};
 
 /// What most programs need, in one line.

@@ -1,13 +1,8 @@
-//! What a file holds as a graph, and what it costs as it stands.
+//! What a file holds as a graph.
 
 use std::collections::{BTreeMap, HashMap};
 
-use evergraph_formats::{Document, G2oRotation, Initial, Record, Replay, ReplayOptions};
-use evergraph_model::Graph;
-use evergraph_solver::SmootherError;
-
-use crate::conventions::{self, Objective};
-use crate::replayer::ReplayerError;
+use evergraph_formats::{Document, Record};
 
 /// What a file holds, as a graph.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -108,44 +103,6 @@ fn root(parent: &mut [usize], mut node: usize) -> usize {
         node = parent[node];
     }
     node
-}
-
-/// The graph of a document at its start values, not solved and without gauge priors.
-#[derive(Debug)]
-pub struct Start {
-    graph: Graph,
-    points: Vec<f64>,
-}
-
-impl Start {
-    /// Sets the graph up at the start values that `initial` says.
-    ///
-    /// # Errors
-    /// [`ReplayerError::Format`] when the document is no graph.
-    pub fn of(document: &Document, initial: Initial) -> Result<Self, ReplayerError> {
-        let options = ReplayOptions { prior: None, initial, kernel: None };
-        let mut replay = Replay::new(document, &options)?;
-        let mut graph = Graph::new();
-        let mut change = graph.change();
-        replay.everything(&mut change)?;
-        let staged = graph.stage(&change).map_err(SmootherError::from)?;
-        graph.commit(staged);
-        let mut points = vec![0.0; graph.value_len()];
-        for (variable, value) in change.new_variables() {
-            points[graph.value_range(variable.index())].copy_from_slice(value.storage());
-        }
-        Ok(Self { graph, points })
-    }
-
-    /// Error and chi2 in this library's convention.
-    pub fn objective(&self) -> Objective {
-        Objective::at(&self.graph, &self.points, |_| true)
-    }
-
-    /// chi2 in g2o's convention; `rotation` as the document was read.
-    pub fn g2o_chi2(&self, rotation: G2oRotation) -> f64 {
-        conventions::g2o_chi2(&self.graph, &self.points, rotation)
-    }
 }
 
 #[cfg(test)]

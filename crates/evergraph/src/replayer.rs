@@ -3,6 +3,7 @@
 use std::collections::{HashMap, HashSet};
 use std::time::{Duration, Instant};
 
+use evergraph_evaluate::Objective;
 use evergraph_formats::{Document, FormatError, Line, Record, Replay, ReplayOptions, Step};
 use evergraph_model::{FactorId, Graph, Value, VariableId};
 use evergraph_solver::{
@@ -10,7 +11,6 @@ use evergraph_solver::{
 };
 use thiserror::Error;
 
-use crate::conventions::Objective;
 use crate::words;
 
 /// Why a replay stopped.

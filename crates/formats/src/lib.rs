@@ -70,6 +70,7 @@ mod parse;
 mod record;
 mod replay;
 mod tags;
+mod trajectory;
 mod write;
 
 pub use document::{Document, Skipped, Summary};
@@ -78,4 +79,5 @@ pub use measurement::{LinearMeasurement, Measurement, Quantity};
 pub use options::{Dialect, G2oRotation, ReadOptions};
 pub use record::{Coordinates, EntryOrder, Kind, Line, Record, Weight, WeightKind};
 pub use replay::{GaugePrior, Initial, Replay, ReplayOptions, Step, StepKind};
+pub use trajectory::{Stamps, Trajectory, TrajectoryError, TrajectoryFormat};
 pub use write::Written;

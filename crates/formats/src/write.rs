@@ -176,7 +176,7 @@ fn format_record(text: &mut String, tag: &Tag, record: &Record) {
 
 /// The shortest text that reads back as the same bits. Both notations have that property; the
 /// exponent saves long runs of zeros.
-fn push_number(text: &mut String, x: f64) {
+pub(crate) fn push_number(text: &mut String, x: f64) {
     use std::fmt::Write;
     let size = x.abs();
     let plain = size == 0.0 || (1e-5..1e16).contains(&size);

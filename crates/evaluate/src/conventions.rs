@@ -68,14 +68,14 @@ fn g2o_squared(factor: &dyn Factor, at: &Arguments<'_>, rotation: G2oRotation) -
             &mut [d.x(), d.y(), d.z(), unit * qx, unit * qy, unit * qz],
         );
     }
-    // Landmarks: the same in both conventions.
+    // Anything else: the same in both conventions.
     let mut residual = vec![0.0; factor.residual_dim()];
     factor.residual(at, &mut residual);
     squared_norm(&residual)
 }
 
 /// The factor as an `F`, under a robust kernel or not.
-pub(crate) fn unwrapped<F: Factor>(factor: &dyn Factor) -> Option<&F> {
+pub fn unwrapped<F: Factor>(factor: &dyn Factor) -> Option<&F> {
     let any = factor.as_any();
     any.downcast_ref::<F>().or_else(|| Some(any.downcast_ref::<Robust<F>>()?.inner()))
 }

@@ -1,0 +1,71 @@
+//! How good a map is: against the truth, against the batch optimum, and in whose convention it
+//! costs what.
+//!
+//! With `xₖ` the estimated and `yₖ` the true poses of the same instants, `S` the motion that lays
+//! the estimate over the truth, and `trans`, `rot` the length of the translation and the angle of
+//! the rotation of a pose:
+//!
+//! ```text
+//! absolute error (ATE, APE)    Eₖ = yₖ⁻¹ (S xₖ)                        trans(Eₖ), rot(Eₖ)
+//! relative error (RPE)         Eₖ = (yₖ⁻¹ yₖ₊Δ)⁻¹ (xₖ⁻¹ xₖ₊Δ)          trans(Eₖ), rot(Eₖ)
+//! landmark error               ‖S l̂ - l‖
+//! excess over the optimum      (error - optimum) / optimum
+//! ```
+//!
+//! The absolute error says how consistent the map is as a whole, the relative error how good it is
+//! locally: Kümmerle et al. argue for the second, since one turn taken wrongly displaces all that
+//! follows.
+//!
+//! ```
+//! use evergraph_evaluate::{AbsoluteError, Alignment, Association, Map, PosePairs};
+//! use evergraph_formats::{Document, ReadOptions};
+//! # fn main() -> Result<(), evergraph_evaluate::EvaluateError> {
+//! let read = |text: &str| Document::parse("map", text.as_bytes(), &ReadOptions::default());
+//! let truth = read("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 2 2 1 0\n")?;
+//! // The same way, started elsewhere and in another direction.
+//! let estimate = read("VERTEX_SE2 0 5 5 1.5\nVERTEX_SE2 1 5.070737 5.997495 1.5\nVERTEX_SE2 2 4.143979 7.065727 1.5\n")?;
+//!
+//! let (estimate, truth) = (Map::of_document(&estimate)?, Map::of_document(&truth)?);
+//! let by = Association::of(&estimate.trajectory, &truth.trajectory);
+//! let pairs = PosePairs::new(&estimate.trajectory, &truth.trajectory, by)?;
+//! let aligned = pairs.align(Alignment::Rigid)?;
+//! assert!(AbsoluteError::of(&pairs, &aligned.similarity)?.translation.rmse < 1e-5);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! # References
+//!
+//! - S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns"
+//!   (1991). B. K. P. Horn, "Closed-form solution of absolute orientation using unit quaternions"
+//!   (1987). The alignment.
+//! - J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems" (2012). ATE and RPE.
+//! - R. Kümmerle et al., "On measuring the accuracy of SLAM algorithms" (2009). Relative errors.
+//! - M. Grupp, evo: Python package for the evaluation of odometry and SLAM (2017). Same pairs, same
+//!   numbers.
+#![forbid(unsafe_code)]
+#![deny(missing_docs)]
+
+mod absolute;
+mod alignment;
+mod association;
+mod audit;
+pub mod conventions;
+mod error;
+mod landmarks;
+mod map;
+mod relative;
+mod start;
+mod statistics;
+
+pub use absolute::{AbsoluteError, PoseError};
+pub use alignment::{Aligned, Alignment, Similarity};
+pub use association::{Association, PosePair, PosePairs};
+pub use audit::{Audit, AuditSample};
+pub use conventions::Objective;
+pub use error::EvaluateError;
+pub use landmarks::LandmarkError;
+pub use map::Map;
+pub use relative::{RelativeError, RelativePairs};
+pub use start::Start;
+pub use statistics::Statistics;

@@ -1,0 +1,59 @@
+//! What a file costs as it stands.
+
+use evergraph_formats::{Document, G2oRotation, Initial, Replay, ReplayOptions};
+use evergraph_model::{Graph, Value, VariableId};
+
+use crate::EvaluateError;
+use crate::conventions::{self, Objective};
+
+/// The graph of a document at its start values, not solved and without gauge priors.
+#[derive(Debug)]
+pub struct Start {
+    graph: Graph,
+    points: Vec<f64>,
+    ids: Vec<(u64, VariableId)>,
+}
+
+impl Start {
+    /// Sets the graph up at the start values that `initial` says.
+    ///
+    /// # Errors
+    /// [`EvaluateError::Format`], [`EvaluateError::Graph`] when the document is no graph.
+    pub fn of(document: &Document, initial: Initial) -> Result<Self, EvaluateError> {
+        let options = ReplayOptions { prior: None, initial, ..ReplayOptions::default() };
+        let mut replay = Replay::new(document, &options)?;
+        let mut graph = Graph::new();
+        let mut change = graph.change();
+        replay.everything(&mut change)?;
+        let staged = graph.stage(&change)?;
+        graph.commit(staged);
+        let mut points = vec![0.0; graph.value_len()];
+        for (variable, value) in change.new_variables() {
+            points[graph.value_range(variable.index())].copy_from_slice(value.storage());
+        }
+        Ok(Self { graph, points, ids: replay.ids().collect() })
+    }
+
+    /// Error and chi2 in this library's convention.
+    pub fn objective(&self) -> Objective {
+        Objective::at(&self.graph, &self.points, |_| true)
+    }
+
+    /// chi2 in g2o's convention; `rotation` as the document was read.
+    pub fn g2o_chi2(&self, rotation: G2oRotation) -> f64 {
+        conventions::g2o_chi2(&self.graph, &self.points, rotation)
+    }
+
+    /// Rows of all residuals together.
+    pub fn rows(&self) -> usize {
+        self.graph.factor_indices().map(|factor| self.graph.rows_at(factor)).sum()
+    }
+
+    /// The start values by the file's ids, in the order of arrival.
+    pub fn values(&self) -> impl Iterator<Item = (u64, Value)> {
+        self.ids.iter().map(|(id, variable)| {
+            let index = variable.index();
+            (*id, self.graph.value(index, &self.points[self.graph.value_range(index)]))
+        })
+    }
+}
