@@ -1,10 +1,13 @@
 //! Whether records can be what they say: each by itself, then all together.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
+
+use evergraph_factors::RootShift;
 
 use crate::error::{Field, FormatError, Place};
 use crate::matrix::{self, Definiteness};
+use crate::measurement::{LinearMeasurement, Measurement, Quantity};
 use crate::record::{Coordinates, Kind, Line, Record, Weight, WeightKind};
 
 /// What was found in a record that can be used.
@@ -22,35 +25,161 @@ pub(crate) const QUATERNION_TOLERANCE: f64 = 1e-3;
 /// A quaternion no longer than this names no rotation.
 const ZERO_QUATERNION: f64 = 1e-9;
 
-/// The length of a quaternion, without overflow.
-pub(crate) fn quaternion_length(pose: &[f64; 7]) -> f64 {
+/// The length of the quaternion of `x y z qx qy qz qw`, without overflow.
+fn quaternion_length(pose: &[f64]) -> f64 {
     pose[3..].iter().fold(0.0, |length: f64, x| length.hypot(*x))
 }
 
-/// Checks a record by itself. `texts` gives, when it is needed, the matrix entries as printed.
+/// Checks a line by itself. `texts` gives, when they are needed, so many last fields of the line as
+/// printed: the matrix.
 pub(crate) fn inspect<'a>(
-    record: &Record,
+    line: &Line,
     tag: &'static str,
     place: &Place,
-    texts: impl FnOnce() -> Vec<&'a str>,
+    texts: impl FnOnce(usize) -> Vec<&'a str>,
 ) -> Result<Finding, FormatError> {
     let mut finding = Finding::default();
-    match record {
+    if line.kernel.is_some() && !line.record.is_factor() {
+        let problem = format!("a {tag} line is no factor");
+        return Err(FormatError::BadKernel { place: place.clone(), problem });
+    }
+    require_finite(line.time.as_slice(), tag, place)?;
+    inspect_ends(&line.record.ends(), place)?;
+    match &line.record {
         Record::Vertex { at, .. } | Record::SensorOffset { at, .. } => {
             finding.long_quaternion = inspect_coordinates(at, tag, place)?;
         }
-        Record::Edge { from, to, measurement, weight, .. } => {
-            // Of a pose and a landmark the ids may be equal: see `Kinds`.
-            if from == to && measurement.kind().is_pose() {
-                return Err(FormatError::SelfEdge { place: place.clone(), id: *from });
-            }
+        Record::Edge { measurement, weight, .. } => {
             finding.long_quaternion = inspect_coordinates(measurement, tag, place)?;
             finding.clipped = inspect_weight(weight, measurement.kind().dim(), tag, place, texts)?;
         }
         Record::Fix { .. } => {}
-        Record::Measurement(_) | Record::Linear(_) | Record::GeodeticOrigin { .. } => {}
+        Record::Measurement(measurement) => {
+            finding = inspect_measurement(measurement, tag, place, texts)?;
+        }
+        Record::Linear(linear) => finding.long_quaternion = inspect_linear(linear, tag, place)?,
+        Record::GeodeticOrigin { latitude, longitude, height } => {
+            require_finite(&[*latitude, *longitude, *height], tag, place)?;
+            if latitude.abs() > 90.0 {
+                let (what, demand) = ("latitude", "from -90 to 90 degrees");
+                return Err(out_of_range(place, tag, what, *latitude, demand));
+            }
+        }
     }
     Ok(finding)
+}
+
+/// No factor joins a variable to itself. Of a pose and a landmark the ids may be equal: see
+/// [`Kinds`].
+fn inspect_ends(ends: &[(u64, Kind)], place: &Place) -> Result<(), FormatError> {
+    let slots = || ends.iter().map(|(id, kind)| slot(*id, *kind));
+    let repeated = match ends {
+        [] | [_] => None,
+        [a, b] => (slot(a.0, a.1) == slot(b.0, b.1)).then_some(a.0),
+        _ => {
+            let mut seen = HashSet::new();
+            slots().find(|slot| !seen.insert(*slot)).map(|(id, _)| id)
+        }
+    };
+    match repeated {
+        Some(id) => Err(FormatError::SelfEdge { place: place.clone(), id }),
+        None => Ok(()),
+    }
+}
+
+fn inspect_measurement<'a>(
+    measurement: &Measurement,
+    tag: &'static str,
+    place: &Place,
+    texts: impl FnOnce(usize) -> Vec<&'a str>,
+) -> Result<Finding, FormatError> {
+    let Measurement { quantity, numbers, weight, parameter, .. } = measurement;
+    let Some(rows) = measurement.rows() else {
+        let kinds: Vec<_> = measurement.kinds().iter().map(|kind| kind.name()).collect();
+        let (what, count) = (quantity.name(), numbers.len());
+        let problem = format!("{what} of a {} is not given by {count} numbers", kinds.join(", a "));
+        return Err(bad(place, problem));
+    };
+    let of_pose3 = measurement.kinds()[0] == Kind::Pose3;
+    let has_offset = of_pose3 && matches!(quantity, Quantity::Prior | Quantity::Position);
+    if parameter.is_some() && !has_offset {
+        return Err(bad(place, format!("{} knows no sensor offset", quantity.name())));
+    }
+    require_finite(numbers, tag, place)?;
+    let mut finding = Finding::default();
+    match quantity {
+        Quantity::Prior | Quantity::Partial if of_pose3 => {
+            finding.long_quaternion = inspect_quaternion(&numbers[..7], tag, place)?;
+        }
+        Quantity::Attitude => {
+            inspect_direction(&numbers[..3], "world direction", tag, place)?;
+            inspect_direction(&numbers[3..], "measured direction", tag, place)?;
+        }
+        Quantity::Bearing | Quantity::BearingRange if of_pose3 => {
+            inspect_direction(&numbers[..3], "direction", tag, place)?;
+        }
+        _ => {}
+    }
+    if let (Quantity::Range | Quantity::BearingRange, Some(&range)) = (quantity, numbers.last())
+        && range < 0.0
+    {
+        return Err(out_of_range(place, tag, "range", range, "0 or more"));
+    }
+    finding.clipped = inspect_weight(weight, rows, tag, place, texts)?;
+    Ok(finding)
+}
+
+fn inspect_linear(
+    linear: &LinearMeasurement,
+    tag: &'static str,
+    place: &Place,
+) -> Result<bool, FormatError> {
+    let mut is_long = false;
+    for (_, at) in &linear.points {
+        is_long |= inspect_coordinates(at, tag, place)?;
+    }
+    let width: usize = linear.points.iter().map(|(_, at)| at.kind().dim()).sum();
+    let entries = linear.rows.checked_mul(width);
+    let has_shape = entries == Some(linear.sqrt_information.len()) && linear.offset.len() == width;
+    if width == 0 || linear.rows == 0 || !has_shape {
+        let problem = format!(
+            "G has {} entries and d' {}, of {} rows and {width} columns",
+            linear.sqrt_information.len(),
+            linear.offset.len(),
+            linear.rows
+        );
+        return Err(bad(place, problem));
+    }
+    if linear.root_shift != RootShift::None && !linear.points[0].1.kind().is_pose() {
+        return Err(bad(place, "its first variable, the root of the shift, is no pose"));
+    }
+    require_finite(&linear.sqrt_information, tag, place)?;
+    require_finite(&linear.offset, tag, place)?;
+    Ok(is_long)
+}
+
+/// A direction has to have a length, and one that can be divided by.
+fn inspect_direction(
+    direction: &[f64],
+    what: &'static str,
+    tag: &'static str,
+    place: &Place,
+) -> Result<(), FormatError> {
+    let length = direction.iter().fold(0.0, |length: f64, x| length.hypot(*x));
+    if length.is_normal() {
+        return Ok(());
+    }
+    Err(out_of_range(place, tag, what, length, "of a length that is not zero, and finite"))
+}
+
+fn out_of_range(
+    place: &Place,
+    tag: &'static str,
+    what: &'static str,
+    value: f64,
+    demand: &'static str,
+) -> FormatError {
+    FormatError::OutOfRange { place: place.clone(), tag, what, value, demand }
 }
 
 fn inspect_coordinates(
@@ -59,7 +188,14 @@ fn inspect_coordinates(
     place: &Place,
 ) -> Result<bool, FormatError> {
     require_finite(at.numbers(), tag, place)?;
-    let Coordinates::Pose3Quaternion(pose) = at else { return Ok(false) };
+    match at {
+        Coordinates::Pose3Quaternion(pose) => inspect_quaternion(pose, tag, place),
+        _ => Ok(false),
+    }
+}
+
+/// Whether the length of the quaternion of `x y z qx qy qz qw` is off.
+fn inspect_quaternion(pose: &[f64], tag: &'static str, place: &Place) -> Result<bool, FormatError> {
     let length = quaternion_length(pose);
     if !(length.is_finite() && length > ZERO_QUATERNION) {
         return Err(FormatError::ZeroQuaternion { place: place.clone(), tag });
@@ -72,7 +208,7 @@ fn inspect_weight<'a>(
     dim: usize,
     tag: &'static str,
     place: &Place,
-    texts: impl FnOnce() -> Vec<&'a str>,
+    texts: impl FnOnce(usize) -> Vec<&'a str>,
 ) -> Result<bool, FormatError> {
     require_finite(&weight.entries, tag, place)?;
     let not_positive = |kind, demand, eigenvalue| {
@@ -91,7 +227,7 @@ fn inspect_weight<'a>(
     {
         return Ok(false);
     }
-    let half_units = matrix::half_units(&texts());
+    let half_units = matrix::half_units(&texts(weight.entries.len()));
     match (weight.kind, matrix::definiteness(weight, dim, &half_units)) {
         (_, Definiteness::Positive) => Ok(false),
         (WeightKind::Covariance, Definiteness::Negative(eigenvalue)) => {
@@ -171,45 +307,50 @@ pub(crate) fn reconcile(
         }
     });
 
-    // 2. Edges: to what is there, and from a pose to what it can see.
+    // 2. Factors: of what is there, and of what they can measure.
     let has_vertices = !kinds.is_empty();
     lines.retain(|Line { number: line, record, .. }| {
-        let Record::Edge { from, to, measurement, parameter, .. } = record else { return true };
-        let seen = measurement.kind();
-        keep((|| {
-            if let Some(parameter) = parameter
-                && !offset_lines.contains_key(parameter)
-            {
-                return Err(FormatError::MissingOffset { place: place(*line), id: *parameter });
-            }
-            let ends = [(*from, seen.observer()), (*to, seen)];
-            for (id, used) in ends {
-                let other = || kinds.get(&(id, !used.is_pose())).filter(|_| !numbered_apart);
-                match kinds.get(&slot(id, used)).or_else(other) {
-                    Some(&actual) if actual == used => {}
-                    Some(&actual) => {
-                        let (used, actual) = (used.name(), actual.name());
-                        return Err(FormatError::WrongKind {
-                            place: place(*line),
-                            id,
-                            used,
-                            actual,
-                        });
-                    }
-                    None if has_vertices => {
-                        return Err(FormatError::MissingVertex { place: place(*line), id });
-                    }
-                    None => {}
+        if !record.is_factor() {
+            return true;
+        }
+        let ends = record.ends();
+        let check_end = |(id, used): (u64, Kind)| {
+            let other = || kinds.get(&(id, !used.is_pose())).filter(|_| !numbered_apart);
+            match kinds.get(&slot(id, used)).or_else(other) {
+                Some(&actual) if actual == used => Ok(()),
+                Some(&actual) => {
+                    let (used, actual) = (used.name(), actual.name());
+                    Err(FormatError::WrongKind { place: place(*line), id, used, actual })
                 }
+                None if has_vertices => Err(FormatError::MissingVertex { place: place(*line), id }),
+                None => Ok(()),
             }
-            if from == to && !numbered_apart && !kinds.contains_key(&(*to, false)) {
-                return Err(FormatError::SelfEdge { place: place(*line), id: *from });
+        };
+        let check = || {
+            if let Some(id) = record.parameter()
+                && !offset_lines.contains_key(&id)
+            {
+                return Err(FormatError::MissingOffset { place: place(*line), id });
             }
-            if !has_vertices {
-                kinds.extend(ends.map(|(id, kind)| (slot(id, kind), kind)));
+            ends.iter().copied().try_for_each(check_end)?;
+            // A pose and a landmark of one id.
+            let twin = |&(id, kind): &(u64, Kind)| {
+                !kind.is_pose()
+                    && ends.contains(&(id, kind.observer()))
+                    && !kinds.contains_key(&(id, false))
+            };
+            match ends.iter().find(|end| twin(end)) {
+                Some((id, _)) if !numbered_apart => {
+                    Err(FormatError::SelfEdge { place: place(*line), id: *id })
+                }
+                _ => Ok(()),
             }
-            Ok(())
-        })())
+        };
+        let is_good = keep(check());
+        if is_good && !has_vertices {
+            kinds.extend(ends.iter().map(|(id, kind)| (slot(*id, *kind), *kind)));
+        }
+        is_good
     });
 
     // 3. What is fixed: poses that are there.
@@ -225,6 +366,19 @@ pub(crate) fn reconcile(
             }),
             None => Err(FormatError::MissingVertex { place: place(*line), id: *id }),
         })
+    });
+
+    // 4. One place on the earth.
+    let mut origin = None;
+    lines.retain(|Line { number: line, record, .. }| match (record, origin) {
+        (Record::GeodeticOrigin { .. }, None) => {
+            origin = Some(*line);
+            true
+        }
+        (Record::GeodeticOrigin { .. }, Some(first)) => {
+            keep(Err(FormatError::SecondOrigin { place: place(*line), first }))
+        }
+        _ => true,
     });
     match failure {
         Some(error) => Err(error),

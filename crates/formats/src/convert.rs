@@ -9,8 +9,10 @@ use crate::check;
 use crate::document::Document;
 use crate::error::{FormatError, Place};
 use crate::matrix;
+use crate::measurement::{Measurement, Quantity};
+use crate::names;
 use crate::options::{Dialect, G2oRotation};
-use crate::record::{Coordinates, EntryOrder, Kind, Record, Weight, WeightKind};
+use crate::record::{Coordinates, EntryOrder, Kind, Line, Record, Weight, WeightKind};
 
 /// The pose that 3D coordinates name; `None` for other coordinates.
 pub(crate) fn pose3(at: &Coordinates) -> Option<Pose3> {
@@ -59,33 +61,48 @@ pub(crate) struct Converter<'a> {
     offsets: HashMap<u64, Pose3>,
     /// New ids of landmarks whose ids are poses', too: g2o has one range for both.
     renumbered: HashMap<u64, u64>,
-    /// The sensor offset for 3D landmarks that have none of their own: an id, and whether the
-    /// target needs a line for it.
-    pub default_offset: (u64, bool),
+    /// Id of a sensor offset at the robot's own place, for g2o's lines that name one.
+    default_offset: u64,
+    /// Whether a record needs it.
+    needs_offset: bool,
+    /// For PyFactorGraph, poses in the order of ids: the time of lines that have none.
+    ranks: HashMap<u64, u32>,
 }
 
 impl<'a> Converter<'a> {
-    pub fn new(document: &'a Document, target: Dialect) -> Self {
+    /// # Errors
+    /// [`FormatError::NoName`], [`FormatError::NameTaken`].
+    pub fn new(document: &'a Document, target: Dialect) -> Result<Self, FormatError> {
         let mut offsets = HashMap::new();
-        let mut needed = false;
         for record in document.records() {
-            match record {
-                Record::SensorOffset { id, at } => {
-                    offsets.extend(pose3(at).map(|pose| (*id, pose)));
-                }
-                Record::Edge { measurement: Coordinates::Point3(_), parameter: None, .. } => {
-                    needed = true
-                }
-                _ => {}
+            if let Record::SensorOffset { id, at } = record {
+                offsets.extend(pose3(at).map(|pose| (*id, pose)));
             }
         }
-        let free = (0..).find(|id| !offsets.contains_key(id)).unwrap_or(0);
-        let default_offset = (free, needed && target == Dialect::G2o);
         let renumbered = match (document.dialect, target) {
             (Dialect::Isam, Dialect::G2o) => renumber(document),
             _ => HashMap::new(),
         };
-        Self { document, target, offsets, renumbered, default_offset }
+        let mut ranks = HashMap::new();
+        if target == Dialect::Pyfg {
+            names::check(document)?;
+            let poses = document.ids().into_iter().filter(|(_, kind)| kind.is_pose());
+            ranks.extend(poses.map(|(id, _)| id).zip(0..));
+        }
+        let default_offset = (0..).find(|id| !offsets.contains_key(id)).unwrap_or(0);
+        let mut converter = Self {
+            document,
+            target,
+            offsets,
+            renumbered,
+            default_offset,
+            needs_offset: false,
+            ranks,
+        };
+        converter.needs_offset = document
+            .records()
+            .any(|record| record.parameter().is_none() && converter.offset_for(record).is_some());
+        Ok(converter)
     }
 
     /// How many landmarks get another id.
@@ -93,56 +110,213 @@ impl<'a> Converter<'a> {
         self.renumbered.len()
     }
 
+    /// How many variables get a name instead of a number.
+    pub fn named(&self) -> usize {
+        if self.target != Dialect::Pyfg {
+            return 0;
+        }
+        self.document.ids().into_iter().filter(|(id, _)| names::is_new(*id)).count()
+    }
+
+    /// The sensor offset at the robot's own place, if the target needs one more.
+    pub fn default_offset(&self) -> Option<Record> {
+        let at = Coordinates::Pose3Quaternion([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
+        self.needs_offset.then_some(Record::SensorOffset { id: self.default_offset, at })
+    }
+
+    /// The sensor offset that the target's line for this record names.
+    fn offset_for(&self, record: &Record) -> Option<u64> {
+        if self.target != Dialect::G2o {
+            return None;
+        }
+        let needs = match record {
+            Record::Edge { measurement, .. } => measurement.kind() == Kind::Point3,
+            Record::Measurement(m) if m.kinds()[..] == [Kind::Pose3] => match m.quantity {
+                Quantity::Prior => true,
+                // g2o's own line has an offset, others leave it out; what was read stays.
+                Quantity::Position => self.document.dialect != Dialect::G2o,
+                _ => false,
+            },
+            _ => false,
+        };
+        record.parameter().or(needs.then_some(self.default_offset))
+    }
+
     fn id(&self, id: u64, kind: Kind) -> u64 {
         if kind.is_pose() { id } else { self.renumbered.get(&id).copied().unwrap_or(id) }
     }
 
-    /// The record as the target writes it; `None` where the target has no line for it and nothing
+    /// The line as the target writes it; `None` where the target has no line for it and nothing
     /// of the measurements is lost: vertices in iSAM, sensor offsets outside g2o (measurements are
     /// taken into the robot's frame).
-    pub fn record(&self, line: usize, record: &Record) -> Result<Option<Record>, FormatError> {
-        let place = self.document.place(line);
-        let unsupported = |what| {
-            Err(FormatError::Unsupported { place: place.clone(), dialect: self.target, what })
+    pub fn line(&self, line: &Line) -> Result<Option<Line>, FormatError> {
+        let place = self.document.place(line.number);
+        if line.kernel.is_some() && self.target != Dialect::G2o {
+            return Err(self.unsupported("a robust kernel", &place));
+        }
+        let Some(record) = self.record(&line.record, &place)? else { return Ok(None) };
+        let time = if self.target == Dialect::Pyfg { self.time(line) } else { None };
+        Ok(Some(Line { time, record, ..*line }))
+    }
+
+    /// The line's time; where it has none and needs one, the rank of its last pose.
+    fn time(&self, line: &Line) -> Option<f64> {
+        let rank = |id| self.ranks.get(&id).copied().unwrap_or(0);
+        let last = match &line.record {
+            Record::Vertex { at, .. } if !at.kind().is_pose() => return line.time,
+            Record::Vertex { id, .. } => rank(*id),
+            factor => factor.ends().iter().map(|(id, _)| rank(*id)).max().unwrap_or(0),
         };
-        match record {
-            Record::Vertex { .. } if self.target == Dialect::Isam => Ok(None),
-            Record::SensorOffset { .. } if self.target != Dialect::G2o => Ok(None),
-            Record::Fix { .. } if self.target != Dialect::G2o => unsupported("a fixed vertex"),
+        line.time.or(Some(f64::from(last)))
+    }
+
+    fn unsupported(&self, what: &'static str, place: &Place) -> FormatError {
+        FormatError::Unsupported { place: place.clone(), dialect: self.target, what }
+    }
+
+    fn record(&self, record: &Record, place: &Place) -> Result<Option<Record>, FormatError> {
+        let is_g2o = self.target == Dialect::G2o;
+        let converted = match record {
+            Record::Vertex { .. } if self.target == Dialect::Isam => return Ok(None),
+            Record::SensorOffset { .. } if !is_g2o => return Ok(None),
+            Record::Fix { .. } if !is_g2o => return Err(self.unsupported("a fixed vertex", place)),
+            Record::Linear(_) if !is_g2o => return Err(self.unsupported("a linear factor", place)),
+            Record::GeodeticOrigin { .. } if !is_g2o => {
+                return Err(self.unsupported("a geodetic origin", place));
+            }
             Record::Vertex { at: Coordinates::Point2(_) | Coordinates::Point3(_), .. }
             | Record::Edge {
                 measurement: Coordinates::Point2(_) | Coordinates::Point3(_), ..
-            } if self.target == Dialect::Toro => unsupported("landmarks"),
-            Record::Measurement(_) | Record::Linear(_) | Record::GeodeticOrigin { .. } => {
-                unsupported("this measurement")
-            }
-            Record::Fix { id } => Ok(Some(Record::Fix { id: *id })),
+            } if self.target == Dialect::Toro => return Err(self.unsupported("landmarks", place)),
+            Record::Fix { .. } | Record::GeodeticOrigin { .. } => record.clone(),
             Record::Vertex { id, at } => {
-                let id = self.id(*id, at.kind());
-                Ok(Some(Record::Vertex { id, at: self.coordinates(at, &place)? }))
+                Record::Vertex { id: self.id(*id, at.kind()), at: self.coordinates(at, place)? }
             }
             Record::SensorOffset { id, at } => {
-                Ok(Some(Record::SensorOffset { id: *id, at: self.coordinates(at, &place)? }))
+                Record::SensorOffset { id: *id, at: self.coordinates(at, place)? }
             }
             Record::Edge { from, to, measurement, weight, parameter } => {
-                let (measurement, weight) =
-                    self.in_robot_frame(measurement, weight, *parameter, &place)?;
-                let weight = self.weight(&weight, measurement.kind().dim(), &place)?;
-                let parameter = match (self.target, &measurement) {
-                    (Dialect::G2o, Coordinates::Point3(_)) => {
-                        parameter.or(Some(self.default_offset.0))
-                    }
-                    _ => None,
-                };
-                let measurement = self.coordinates(&measurement, &place)?;
+                let (seen, weight) = self.in_robot_frame(measurement, weight, *parameter, place)?;
+                let dim = measurement.kind().dim();
+                let weight = self.weight(&weight, dim, self.rescale(record), place)?;
+                let measurement = self.coordinates(&seen, place)?;
+                let parameter = self.offset_for(record);
                 let to = self.id(*to, measurement.kind());
-                Ok(Some(Record::Edge { from: *from, to, measurement, weight, parameter }))
+                Record::Edge { from: *from, to, measurement, weight, parameter }
             }
+            Record::Measurement(measurement) => {
+                Record::Measurement(Box::new(self.measurement(measurement, record, place)?))
+            }
+            Record::Linear(linear) => {
+                let mut linear = linear.clone();
+                for (id, at) in &mut linear.points {
+                    *id = self.id(*id, at.kind());
+                    *at = self.coordinates(at, place)?;
+                }
+                Record::Linear(linear)
+            }
+        };
+        Ok(Some(converted))
+    }
+
+    fn measurement(
+        &self,
+        measurement: &Measurement,
+        record: &Record,
+        place: &Place,
+    ) -> Result<Measurement, FormatError> {
+        let holds = match self.target {
+            Dialect::G2o => true,
+            Dialect::Pyfg => matches!(measurement.quantity, Quantity::Prior | Quantity::Range),
+            Dialect::Toro | Dialect::Isam => false,
+        };
+        if !holds {
+            return Err(self.unsupported(measurement.quantity.name(), place));
+        }
+        let mut converted = self.prior_of_robot(measurement, place)?;
+        let rescale = self.rescale(record).filter(|_| converted.weight == measurement.weight);
+        let rows = measurement.rows().unwrap_or(0);
+        converted.weight = self.weight(&converted.weight, rows, rescale, place)?;
+        converted.parameter = self.offset_for(record);
+        for (id, kind) in &mut converted.ends {
+            *id = self.id(*id, *kind);
+        }
+        let landmark_first = |ends: &[(u64, Kind)]| !ends[0].1.is_pose() && ends[1].1.is_pose();
+        if converted.quantity == Quantity::Range
+            && self.target == Dialect::G2o
+            && landmark_first(&converted.ends)
+        {
+            converted.ends.reverse();
+        }
+        self.require_readable_kinds(&converted, place)?;
+        Ok(converted)
+    }
+
+    /// In a PyFactorGraph file without vertices, names say between what a range is.
+    fn require_readable_kinds(
+        &self,
+        measurement: &Measurement,
+        place: &Place,
+    ) -> Result<(), FormatError> {
+        let named = self.target == Dialect::Pyfg && self.document.summary().vertices == 0;
+        let misleads = |(id, kind): &&(u64, Kind)| {
+            !names::is_new(*id) && names::kind(*id, kind.is_in_space()) != *kind
+        };
+        match measurement.ends.iter().find(misleads) {
+            Some((id, kind)) if named => Err(check::bad(
+                place,
+                format!("without a VERTEX line nothing would say that {id} is a {}", kind.name()),
+            )),
+            _ => Ok(()),
         }
     }
 
+    /// A prior on a sensor's pose as one on the robot's, where the target has no sensor offsets.
+    fn prior_of_robot(
+        &self,
+        measurement: &Measurement,
+        place: &Place,
+    ) -> Result<Measurement, FormatError> {
+        let unchanged = || Ok(measurement.clone());
+        let (Quantity::Prior, Some(parameter)) = (measurement.quantity, measurement.parameter)
+        else {
+            return unchanged();
+        };
+        if self.target == Dialect::G2o {
+            return unchanged();
+        }
+        let robot_from_sensor = self.offset(parameter, place)?;
+        if *robot_from_sensor == Pose3::identity() {
+            return unchanged();
+        }
+        let numbers = <[f64; 7]>::try_from(&measurement.numbers[..])
+            .map_err(|_| check::bad(place, "it is no pose"))?;
+        let world_from_sensor = pose3(&Coordinates::Pose3Quaternion(numbers))
+            .ok_or_else(|| check::bad(place, "its quaternion names no rotation"))?;
+        let sensor_from_robot = robot_from_sensor.inverse();
+        let world_from_robot = world_from_sensor.compose(&sensor_from_robot);
+        let mut information = self.information(&measurement.weight, 6, place)?;
+        if half_angles(self.document, self.document.dialect) {
+            scale_rotation(&mut information, 0.5);
+        }
+        // The error in the sensor's frame is the adjoint of the robot's.
+        let adjoint = sensor_from_robot.adjoint();
+        let adjoint = DMatrix::from_fn(6, 6, |i, j| adjoint[(i, j)]);
+        let moved = symmetric(&(adjoint.tr_mul(&information) * &adjoint));
+        Ok(Measurement {
+            numbers: quaternion(&world_from_robot).numbers().into(),
+            weight: information_weight(&moved),
+            ..measurement.clone()
+        })
+    }
+
+    fn offset(&self, id: u64, place: &Place) -> Result<&Pose3, FormatError> {
+        let missing = || FormatError::MissingOffset { place: place.clone(), id };
+        self.offsets.get(&id).ok_or_else(missing)
+    }
+
     fn coordinates(&self, at: &Coordinates, place: &Place) -> Result<Coordinates, FormatError> {
-        let wants_quaternion = self.target == Dialect::G2o;
+        let wants_quaternion = matches!(self.target, Dialect::G2o | Dialect::Pyfg);
         let convert = match at {
             Coordinates::Pose3Quaternion(_) if !wants_quaternion => euler,
             Coordinates::Pose3Euler(_) if wants_quaternion => quaternion,
@@ -167,9 +341,7 @@ impl<'a> Converter<'a> {
         if self.target == Dialect::G2o {
             return Ok(unchanged);
         }
-        let Some(robot_from_sensor) = self.offsets.get(&parameter) else {
-            return Err(FormatError::MissingOffset { place: place.clone(), id: parameter });
-        };
+        let robot_from_sensor = self.offset(parameter, place)?;
         if *robot_from_sensor == Pose3::identity() {
             return Ok(unchanged);
         }
@@ -178,13 +350,8 @@ impl<'a> Converter<'a> {
         let r: Matrix3<f64> = robot_from_sensor.rotation().matrix();
         let inner: Matrix3<f64> = information.fixed_view::<3, 3>(0, 0).into_owned();
         let rotated = r * inner * r.transpose();
-        let rotated = DMatrix::from_fn(3, 3, |i, j| 0.5 * (rotated[(i, j)] + rotated[(j, i)]));
-        let weight = Weight {
-            kind: WeightKind::Information,
-            order: EntryOrder::UpperTriangle,
-            entries: matrix::entries(&rotated, EntryOrder::UpperTriangle),
-        };
-        Ok((Coordinates::Point3([seen.x(), seen.y(), seen.z()]), weight))
+        let rotated = symmetric(&DMatrix::from_fn(3, 3, |i, j| rotated[(i, j)]));
+        Ok((Coordinates::Point3([seen.x(), seen.y(), seen.z()]), information_weight(&rotated)))
     }
 
     fn information(
@@ -198,23 +365,39 @@ impl<'a> Converter<'a> {
         )
     }
 
-    fn weight(&self, weight: &Weight, dim: usize, place: &Place) -> Result<Weight, FormatError> {
+    /// By what rotation rows and columns are multiplied, where the units of 3D rotations change.
+    fn rescale(&self, record: &Record) -> Option<f64> {
+        let source = half_angles(self.document, self.document.dialect);
+        let target = half_angles(self.document, self.target);
+        let changes = record.has_rotation_rows() && source != target;
+        changes.then_some(if source { 0.5 } else { 2.0 })
+    }
+
+    fn weight(
+        &self,
+        weight: &Weight,
+        dim: usize,
+        rescale: Option<f64>,
+        place: &Place,
+    ) -> Result<Weight, FormatError> {
         let kind = match (self.target, self.document.dialect) {
             (Dialect::G2o | Dialect::Toro, _) => WeightKind::Information,
             (Dialect::Isam, Dialect::Isam) => self.document.isam_matrix,
             (Dialect::Isam, _) => WeightKind::SquareRoot,
+            (Dialect::Pyfg, _) => WeightKind::Covariance,
         };
         let order = match self.target {
             Dialect::Toro if dim == 3 => EntryOrder::Toro,
             _ => EntryOrder::UpperTriangle,
         };
-        let source = half_angles(self.document, self.document.dialect);
-        let target = half_angles(self.document, self.target);
-        let rescale = dim == 6 && source != target;
-        if weight.entries.is_empty() && self.target == Dialect::Isam && dim != 2 && !rescale {
+        if weight.entries.is_empty()
+            && self.target == Dialect::Isam
+            && dim != 2
+            && rescale.is_none()
+        {
             return Ok(Weight { kind, order, entries: weight.entries.clone() });
         }
-        if weight.kind == kind && !rescale && !weight.entries.is_empty() {
+        if weight.kind == kind && rescale.is_none() && !weight.entries.is_empty() {
             if weight.order == order {
                 return Ok(weight.clone());
             }
@@ -224,8 +407,8 @@ impl<'a> Converter<'a> {
             }
         }
         let mut information = self.information(weight, dim, place)?;
-        if rescale {
-            scale_rotation(&mut information, if source { 0.5 } else { 2.0 });
+        if let Some(factor) = rescale {
+            scale_rotation(&mut information, factor);
         }
         let matrix = match kind {
             WeightKind::Information => information,
@@ -243,6 +426,18 @@ impl<'a> Converter<'a> {
             }
         };
         Ok(Weight { kind, order, entries: matrix::entries(&matrix, order) })
+    }
+}
+
+fn symmetric(matrix: &DMatrix<f64>) -> DMatrix<f64> {
+    (matrix + matrix.transpose()) * 0.5
+}
+
+fn information_weight(information: &DMatrix<f64>) -> Weight {
+    Weight {
+        kind: WeightKind::Information,
+        order: EntryOrder::UpperTriangle,
+        entries: matrix::entries(information, EntryOrder::UpperTriangle),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Seek};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -77,7 +77,12 @@ impl Summary {
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if self.skipped > 0 {
-            warnings.push(format!("{} bad lines were skipped", self.skipped));
+            let listed = if self.skipped > parse::LISTED {
+                format!("; the first {} are listed", parse::LISTED)
+            } else {
+                String::new()
+            };
+            warnings.push(format!("{} bad lines were skipped{listed}", self.skipped));
         }
         if self.clipped > 0 {
             warnings.push(format!(
@@ -142,7 +147,14 @@ impl Document {
         let name = path.display().to_string();
         let open = |source| FormatError::Read { file: name.as_str().into(), source };
         let file = File::open(path).map_err(open)?;
-        Self::parse(&name, BufReader::with_capacity(1 << 16, file), options)
+        let parse = |options| Self::parse(&name, BufReader::with_capacity(1 << 16, &file), options);
+        match parse(options) {
+            // A pipe cannot be read again; the error then says how to help.
+            Err(FormatError::EdgesBeforeVertices { .. }) if (&file).rewind().is_ok() => {
+                parse(&ReadOptions { format: Some(Dialect::Toro), ..options.clone() })
+            }
+            result => result,
+        }
     }
 
     /// Reads a graph from anything that gives bytes, such as `text.as_bytes()`; `name` stands for
@@ -183,7 +195,7 @@ impl Document {
         for (index, record) in records.into_iter().enumerate() {
             let line = Line { number: index + 1, ..record.into() };
             let place = Place { file: Arc::clone(&name), line: line.number };
-            let finding = check::inspect(&line.record, line.record.name(), &place, Vec::new)?;
+            let finding = check::inspect(&line, line.record.name(), &place, |_| Vec::new())?;
             contents.note(finding);
             contents.lines.push(line);
         }
@@ -226,6 +238,12 @@ impl Document {
     /// The dialect that the records were read from, or are meant for.
     pub fn dialect(&self) -> Dialect {
         self.dialect
+    }
+
+    /// Whether VERTEX lines are ground truth rather than an estimate: they are in PyFactorGraph's
+    /// files.
+    pub fn vertices_are_truth(&self) -> bool {
+        self.dialect == Dialect::Pyfg
     }
 
     /// The records with the lines they stand in.

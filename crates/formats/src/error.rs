@@ -65,7 +65,7 @@ pub enum FormatError {
     },
     /// The name's extension names no format.
     #[error(
-        "{file}: the extension does not say which format to write; use .g2o, .graph or .toro (TORO), or .txt (iSAM)"
+        "{file}: the extension does not say which format to write; use .g2o, .graph or .toro (TORO), .txt (iSAM) or .pyfg (PyFactorGraph)"
     )]
     UnknownExtension {
         /// The file.
@@ -73,7 +73,7 @@ pub enum FormatError {
     },
     /// There is no graph in the file.
     #[error(
-        "{file}: no vertex or edge line was found ({ignored} lines were passed over); is this a g2o, TORO or iSAM graph?"
+        "{file}: no vertex or edge line was found ({ignored} lines were passed over); is this a g2o, TORO, iSAM or PyFactorGraph graph?"
     )]
     Empty {
         /// The file.
@@ -103,7 +103,7 @@ pub enum FormatError {
     },
     /// A tag that no supported format has.
     #[error(
-        "{place}: `{tag}` is no line of a g2o, TORO or iSAM graph that is supported; remove such lines, or read leniently to skip and count them"
+        "{place}: `{tag}` is no line of a g2o, TORO, iSAM or PyFactorGraph graph that is supported; remove such lines, or read leniently to skip and count them"
     )]
     UnknownTag {
         /// Where.
@@ -166,6 +166,118 @@ pub enum FormatError {
         place: Place,
         /// The field.
         field: Box<Field>,
+    },
+    /// A field that should be a PyFactorGraph name is none.
+    #[error(
+        "{place}: {field}, which is not a name; names are a letter and a number below 2^56 without leading zeros, such as A0"
+    )]
+    NotAName {
+        /// Where.
+        place: Place,
+        /// The field.
+        field: Box<Field>,
+    },
+    /// A field that says how many others follow does not fit the line.
+    #[error("{place}: {field}, which is not a count from 1 to {most}; is the line cut off?")]
+    NotACount {
+        /// Where.
+        place: Place,
+        /// The field.
+        field: Box<Field>,
+        /// How many there can be at most.
+        most: usize,
+    },
+    /// A field that should be one of a few words is another.
+    #[error("{place}: {field}, which is none of {words}")]
+    NoSuchWord {
+        /// Where.
+        place: Place,
+        /// The field.
+        field: Box<Field>,
+        /// The words.
+        words: String,
+    },
+    /// A number that no such measurement can have.
+    #[error("{place}: the {what} of the {tag} line is {value}, but has to be {demand}")]
+    OutOfRange {
+        /// Where.
+        place: Place,
+        /// The tag.
+        tag: &'static str,
+        /// What it is.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it should be.
+        demand: &'static str,
+    },
+    /// A robust kernel that there is not, or before a line that is no factor.
+    #[error(
+        "{place}: the robust kernel cannot be used: {problem}; such a line is `ROBUST huber 1.345 EDGE_SE2 ...`"
+    )]
+    BadKernel {
+        /// Where.
+        place: Place,
+        /// Why.
+        problem: String,
+    },
+    /// A second GEODETIC_ORIGIN line.
+    #[error(
+        "{place}: the geodetic origin was given before, in line {first}; keep one of the two lines"
+    )]
+    SecondOrigin {
+        /// Where.
+        place: Place,
+        /// The line that gave it first.
+        first: usize,
+    },
+    /// TORO vertices after edges that were taken for iSAM's, which have the same tags.
+    #[error(
+        "{place}: `{tag}` makes this a TORO file, but its lines up to here were read as iSAM's, because no vertex came before the `{edge}` of line {first}; put the vertices first, or name the format (toro)"
+    )]
+    EdgesBeforeVertices {
+        /// Where.
+        place: Place,
+        /// The vertex's tag.
+        tag: &'static str,
+        /// The first edge's tag.
+        edge: &'static str,
+        /// The first edge's line.
+        first: usize,
+    },
+    /// An id that no PyFactorGraph name stands for.
+    #[error(
+        "{file}: {id} cannot be written as a PyFactorGraph name, which is a letter (top byte of the id) and an index; number the variables below 2^56"
+    )]
+    NoName {
+        /// The file.
+        file: Arc<str>,
+        /// The id.
+        id: u64,
+    },
+    /// Two variables would have the same PyFactorGraph name.
+    #[error(
+        "{file}: {id} and {other} would both be `{name}` in a PyFactorGraph file; renumber one"
+    )]
+    NameTaken {
+        /// The file.
+        file: Arc<str>,
+        /// The id.
+        id: u64,
+        /// The name.
+        name: String,
+        /// The id that has the name already.
+        other: u64,
+    },
+    /// Nothing of the document has a line in the target format.
+    #[error(
+        "{file}: a {dialect} file has no line for anything in it, so nothing would be written; write another format"
+    )]
+    NothingToWrite {
+        /// The file.
+        file: Arc<str>,
+        /// The format asked for.
+        dialect: Dialect,
     },
     /// A second VERTEX or PARAMS line for the same id.
     #[error("{place}: {what} {id} was given before, in line {first}; keep one of the two lines")]
@@ -320,6 +432,11 @@ pub enum FormatError {
 }
 
 impl FormatError {
+    /// Whether nothing of the file can be trusted, so that skipping the line would not do.
+    pub(crate) fn spoils_the_file(&self) -> bool {
+        matches!(self, Self::EdgesBeforeVertices { .. })
+    }
+
     /// The line that is to blame, where it is one.
     pub fn place(&self) -> Option<&Place> {
         match self {
@@ -331,6 +448,13 @@ impl FormatError {
             | Self::NotANumber { place, .. }
             | Self::NotFinite { place, .. }
             | Self::NotAnId { place, .. }
+            | Self::NotAName { place, .. }
+            | Self::NotACount { place, .. }
+            | Self::NoSuchWord { place, .. }
+            | Self::OutOfRange { place, .. }
+            | Self::BadKernel { place, .. }
+            | Self::SecondOrigin { place, .. }
+            | Self::EdgesBeforeVertices { place, .. }
             | Self::Duplicate { place, .. }
             | Self::SelfEdge { place, .. }
             | Self::MissingVertex { place, .. }

@@ -78,13 +78,48 @@ pub struct LinearMeasurement {
 }
 
 impl Measurement {
-    /// The tag that messages use.
-    pub(crate) fn tag(&self) -> &'static str {
-        "FACTOR"
+    /// What the variables are.
+    pub fn kinds(&self) -> SmallVec<[Kind; 2]> {
+        self.ends.iter().map(|(_, kind)| *kind).collect()
+    }
+
+    /// Rows of the matrix; `None` where ends and numbers are none that the quantity has.
+    pub fn rows(&self) -> Option<usize> {
+        let kinds = self.kinds();
+        let (numbers, rows) = self.quantity.shape(&kinds)?;
+        if self.quantity != Quantity::Partial {
+            return (self.numbers.len() == numbers).then_some(rows);
+        }
+        let dim = kinds[0].dim();
+        let combinations = self.numbers.len().checked_sub(numbers - dim)?;
+        let rows = combinations / dim;
+        (combinations == rows * dim && (1..=dim).contains(&rows)).then_some(rows)
     }
 }
 
 impl Quantity {
+    /// What it is, in words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Prior => "a prior",
+            Self::Position => "a position (GPS)",
+            Self::AntennaPosition => "the position of an antenna (GPS)",
+            Self::Depth => "a depth",
+            Self::Heading => "a heading",
+            Self::RollPitch => "a roll and pitch",
+            Self::Attitude => "an attitude",
+            Self::PlanarMotion => "a plane of motion",
+            Self::Between => "a difference of points",
+            Self::Range => "a range",
+            Self::Bearing => "a bearing",
+            Self::BearingRange => "a bearing and range",
+            Self::DepthDifference => "a difference of depths",
+            Self::HeadingDifference => "a difference of headings",
+            Self::TranslationDifference => "a difference of positions",
+            Self::Partial => "a part of a relative pose",
+        }
+    }
+
     /// How many numbers are measured on variables of these kinds, and how many rows the matrix has;
     /// `None` where the quantity is not measured on them. For [`Partial`](Self::Partial) the numbers
     /// are those of one combination, of one row.

@@ -16,17 +16,21 @@ pub enum Dialect {
     /// iSAM's `ODOMETRY`, `EDGE2`, `Constraint2`, `LANDMARK`, `EDGE3`, `POINT3`; no vertices; the
     /// matrices are square roots of information unless [`ReadOptions::isam_matrix`] says otherwise.
     Isam,
+    /// PyFactorGraph's `VERTEX_SE2`, `EDGE_SE2`, `EDGE_RANGE` and so on, with times, and names such
+    /// as `A0` for ids; the matrices are covariances and the vertices ground truth.
+    Pyfg,
 }
 
 impl Dialect {
     /// The dialect that a file of this name is *written* in: `.g2o`, `.graph` and `.toro` (TORO),
-    /// `.txt` (iSAM).
+    /// `.txt` (iSAM), `.pyfg` (PyFactorGraph).
     pub fn of_extension(path: &Path) -> Option<Self> {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
         match extension.as_str() {
             "g2o" => Some(Self::G2o),
             "graph" | "toro" => Some(Self::Toro),
             "txt" => Some(Self::Isam),
+            "pyfg" => Some(Self::Pyfg),
             _ => None,
         }
     }
@@ -38,6 +42,7 @@ impl fmt::Display for Dialect {
             Self::G2o => "g2o",
             Self::Toro => "TORO",
             Self::Isam => "iSAM",
+            Self::Pyfg => "PyFactorGraph",
         })
     }
 }
@@ -45,13 +50,14 @@ impl fmt::Display for Dialect {
 impl FromStr for Dialect {
     type Err = String;
 
-    /// `g2o`, `toro` or `isam`, in any case.
+    /// `g2o`, `toro`, `isam` or `pyfg`, in any case.
     fn from_str(name: &str) -> Result<Self, String> {
         match name.to_ascii_lowercase().as_str() {
             "g2o" => Ok(Self::G2o),
             "toro" => Ok(Self::Toro),
             "isam" => Ok(Self::Isam),
-            _ => Err(format!("`{name}` is no format; there are g2o, toro and isam")),
+            "pyfg" => Ok(Self::Pyfg),
+            _ => Err(format!("`{name}` is no format; there are g2o, toro, isam and pyfg")),
         }
     }
 }
@@ -99,8 +105,11 @@ impl FromStr for WeightKind {
 /// How a file is read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ReadOptions {
-    /// The dialect; told by content when `None` (the default). `EDGE2` and `EDGE3` are TORO's if a
-    /// `VERTEX2` or `VERTEX3` came first, else iSAM's. Every other tag belongs to one dialect.
+    /// The dialect; told by content when `None` (the default). The tags that g2o and PyFactorGraph
+    /// share are the latter's where there are names such as `A0` for ids. `EDGE2` and `EDGE3` are
+    /// TORO's in a file with `VERTEX2` or `VERTEX3`, else iSAM's; where those vertices come later,
+    /// a file is read again from its start, and [`parse`](crate::Document::parse), which cannot do
+    /// that, gives an error. Every other tag belongs to one dialect.
     pub format: Option<Dialect>,
     /// What the matrices of an iSAM file are; nothing in the file says so. Default: square roots.
     pub isam_matrix: WeightKind,
@@ -119,4 +128,13 @@ impl Default for ReadOptions {
             lenient: false,
         }
     }
+}
+
+/// How a document is written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WriteOptions {
+    /// Leaves out, and counts, what other readers of g2o do not know: lines of tags that are our
+    /// own (`FACTOR_...`, `GEODETIC_ORIGIN`) and `ROBUST` before a line, which stays without it.
+    /// Default: false.
+    pub plain: bool,
 }

@@ -3,7 +3,9 @@
 use evergraph_model::Kernel;
 use smallvec::SmallVec;
 
-use crate::measurement::{LinearMeasurement, Measurement};
+use crate::measurement::{LinearMeasurement, Measurement, Quantity};
+use crate::options::Dialect;
+use crate::tags::Tag;
 
 /// A line of a graph file: what it says, and what the file says about it.
 #[derive(Clone, Debug, PartialEq)]
@@ -142,6 +144,11 @@ impl Kind {
         matches!(self, Self::Pose2 | Self::Pose3)
     }
 
+    /// Whether it is in space; else it is in the plane.
+    pub fn is_in_space(self) -> bool {
+        matches!(self, Self::Pose3 | Self::Point3)
+    }
+
     /// The kind of pose that measures it.
     pub fn observer(self) -> Self {
         match self {
@@ -211,14 +218,27 @@ impl Record {
         }
     }
 
+    /// The sensor offset that a measurement names.
+    pub(crate) fn parameter(&self) -> Option<u64> {
+        match self {
+            Self::Edge { parameter, .. } => *parameter,
+            Self::Measurement(measurement) => measurement.parameter,
+            _ => None,
+        }
+    }
+
+    /// Whether its matrix has rows for the rotation of a 3D pose that g2o weights in its own units.
+    pub(crate) fn has_rotation_rows(&self) -> bool {
+        match self {
+            Self::Edge { measurement, .. } => measurement.kind() == Kind::Pose3,
+            Self::Measurement(m) => m.quantity == Quantity::Prior && m.ends[0].1 == Kind::Pose3,
+            _ => false,
+        }
+    }
+
     /// The tag that messages use, g2o's.
     pub(crate) fn name(&self) -> &'static str {
         match self {
-            Self::Fix { .. } => "FIX",
-            Self::SensorOffset { .. } => "PARAMS_SE3OFFSET",
-            Self::GeodeticOrigin { .. } => "GEODETIC_ORIGIN",
-            Self::Linear(_) => "FACTOR_LINEAR",
-            Self::Measurement(measurement) => measurement.tag(),
             Self::Vertex { at, .. } => match at.kind() {
                 Kind::Pose2 => "VERTEX_SE2",
                 Kind::Pose3 => "VERTEX_SE3:QUAT",
@@ -231,6 +251,8 @@ impl Record {
                 Kind::Point2 => "EDGE_SE2_XY",
                 Kind::Point3 => "EDGE_SE3_TRACKXYZ",
             },
+            Self::SensorOffset { .. } => "PARAMS_SE3OFFSET",
+            other => Tag::of(other, Dialect::G2o).map_or("FACTOR", |tag| tag.name),
         }
     }
 }

@@ -1,5 +1,6 @@
 //! From records to text.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -9,13 +10,14 @@ use evergraph_model::Graph;
 use crate::convert::Converter;
 use crate::document::Document;
 use crate::error::FormatError;
-use crate::options::Dialect;
-use crate::record::{Coordinates, Line, Record};
+use crate::options::{Dialect, WriteOptions};
+use crate::record::{Line, Record};
 use crate::replay::{Replay, ReplayOptions};
-use crate::tags::{Shape, TAGS, Tag};
+use crate::tags::{ROBUST, Tag};
+use crate::write_line::push_line;
 
 /// What was written.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Written {
     /// Lines.
     pub lines: usize,
@@ -27,65 +29,88 @@ pub struct Written {
     /// Landmarks that got another id: iSAM numbers poses and landmarks apart, g2o does not. Those
     /// whose id a pose has, too, are numbered on from the largest id, in order.
     pub renumbered_landmarks: usize,
+    /// Variables that were numbers and are names now, as PyFactorGraph wants it: pose 5 is `A5`,
+    /// landmark 5 is `L5`. Read again, their ids are those of the names.
+    pub named: usize,
+    /// Lines of a PyFactorGraph file that had no time: theirs is the rank of the pose, in the order
+    /// of ids from 0, of a factor the highest of its poses.
+    pub added_times: usize,
+    /// Lines whose time was lost; only PyFactorGraph's files have times.
+    pub dropped_times: usize,
+    /// What [`WriteOptions::plain`] left out, by tag; `ROBUST` counts lines that lost their kernel.
+    pub left_out: BTreeMap<&'static str, usize>,
 }
 
 impl Document {
     /// Writes the records as `dialect` does, numbers with the fewest digits that read back as the
     /// same bits.
     ///
-    /// The dialect that was read gets equal records, bit for bit. Any other gets the same graph:
-    /// matrices of its own kind and order (iSAM square roots by Cholesky), quaternions or Euler
-    /// angles, landmarks in the robot's frame where there are no sensor offsets. What gets lost,
-    /// added or another id is counted in [`Written`].
+    /// The dialect that was read gets equal lines, bit for bit. Any other gets the same graph:
+    /// matrices of its own kind and order (iSAM square roots by Cholesky, PyFactorGraph
+    /// covariances), quaternions or Euler angles, landmarks in the robot's frame where there are no
+    /// sensor offsets. What gets lost, added or another id is counted in [`Written`].
     ///
     /// # Errors
     /// [`FormatError::Unsupported`] for what the dialect cannot hold (landmarks in TORO, FIX outside
     /// g2o), [`FormatError::BadMeasurement`] for a matrix that cannot be converted,
-    /// [`FormatError::Write`].
+    /// [`FormatError::NoName`] and [`FormatError::NameTaken`] where ids make no names,
+    /// [`FormatError::NothingToWrite`], [`FormatError::Write`].
     pub fn write(&self, out: &mut impl Write, dialect: Dialect) -> Result<Written, FormatError> {
+        self.write_with(out, dialect, &WriteOptions::default())
+    }
+
+    /// [`write`](Self::write) with options.
+    ///
+    /// # Errors
+    /// As [`write`](Self::write).
+    pub fn write_with(
+        &self,
+        out: &mut impl Write,
+        dialect: Dialect,
+        options: &WriteOptions,
+    ) -> Result<Written, FormatError> {
         let is_bare = self.summary().vertices == 0 && self.summary().landmarks == 0;
         if dialect == Dialect::Toro && self.dialect != Dialect::Toro && is_bare {
             // Without vertices nothing would tell TORO's EDGE2 from iSAM's.
             let complete = self.with_composed_vertices()?;
-            let written = complete.write(out, dialect)?;
+            let written = complete.write_with(out, dialect, options)?;
             return Ok(Written { added_vertices: complete.summary().vertices, ..written });
         }
-        let io_error = |source| FormatError::Write { file: self.name().into(), source };
-        let converter = Converter::new(self, dialect);
-        let mut written = Written::default();
-        let mut text = String::with_capacity(512);
-        let mut put = |record: &Record| -> Result<(), FormatError> {
-            text.clear();
-            let Some(tag) = tag_for(record, dialect) else { return Ok(()) };
-            format_record(&mut text, tag, record);
-            written.lines += 1;
-            out.write_all(text.as_bytes()).map_err(io_error)
-        };
-        let (id, needed) = converter.default_offset;
-        if needed {
-            let at = Coordinates::Pose3Quaternion([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
-            put(&Record::SensorOffset { id, at })?;
+        let converter = Converter::new(self, dialect)?;
+        let mut writer =
+            Writer { out, dialect, options, text: String::new(), written: Written::default() };
+        let failed = |source| FormatError::Write { file: self.name().into(), source };
+        if let Some(offset) = converter.default_offset() {
+            writer.line(&offset.into()).map_err(failed)?;
         }
         // TORO tells its EDGE2 from iSAM's by the vertices before it.
         let vertices_first = dialect == Dialect::Toro && self.edges_come_first();
         let passes: &[Option<bool>] =
             if vertices_first { &[Some(true), Some(false)] } else { &[None] };
-        let mut dropped_vertices = 0;
         for &pass in passes {
-            for Line { number: line, record, .. } in &self.lines {
-                let is_vertex = matches!(record, Record::Vertex { .. });
+            for line in &self.lines {
+                let is_vertex = matches!(line.record, Record::Vertex { .. });
                 if pass.is_some_and(|vertices| vertices != is_vertex) {
                     continue;
                 }
-                match converter.record(*line, record)? {
-                    Some(record) => put(&record)?,
-                    None => dropped_vertices += usize::from(is_vertex),
-                }
+                let Some(converted) = converter.line(line)? else {
+                    writer.written.dropped_vertices += usize::from(is_vertex);
+                    continue;
+                };
+                writer.written.dropped_times +=
+                    usize::from(line.time.is_some() && converted.time.is_none());
+                writer.written.added_times +=
+                    usize::from(line.time.is_none() && converted.time.is_some());
+                writer.line(&converted).map_err(failed)?;
             }
         }
-        out.flush().map_err(io_error)?;
-        let renumbered_landmarks = converter.renumbered();
-        Ok(Written { dropped_vertices, renumbered_landmarks, ..written })
+        writer.out.flush().map_err(failed)?;
+        let written = writer.written;
+        if written.lines == 0 && !self.lines.is_empty() {
+            return Err(FormatError::NothingToWrite { file: self.name().into(), dialect });
+        }
+        let (renumbered_landmarks, named) = (converter.renumbered(), converter.named());
+        Ok(Written { renumbered_landmarks, named, ..written })
     }
 
     /// Writes a file; the dialect goes by the extension, see [`Dialect::of_extension`].
@@ -94,17 +119,29 @@ impl Document {
     /// [`FormatError::UnknownExtension`] and those of [`write`](Self::write). What the dialect
     /// cannot hold is found before the file is touched.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<Written, FormatError> {
+        self.save_with(path, &WriteOptions::default())
+    }
+
+    /// [`save`](Self::save) with options.
+    ///
+    /// # Errors
+    /// As [`save`](Self::save).
+    pub fn save_with(
+        &self,
+        path: impl AsRef<Path>,
+        options: &WriteOptions,
+    ) -> Result<Written, FormatError> {
         let path = path.as_ref();
         let file = || path.display().to_string().into();
         let Some(dialect) = Dialect::of_extension(path) else {
             return Err(FormatError::UnknownExtension { file: file() });
         };
-        if dialect != self.dialect {
-            self.write(&mut io::sink(), dialect)?;
+        if dialect != self.dialect || options.plain {
+            self.write_with(&mut io::sink(), dialect, options)?;
         }
         let target =
             File::create(path).map_err(|source| FormatError::Write { file: file(), source })?;
-        match self.write(&mut BufWriter::new(target), dialect) {
+        match self.write_with(&mut BufWriter::new(target), dialect, options) {
             Err(FormatError::Write { source, .. }) => {
                 Err(FormatError::Write { file: file(), source })
             }
@@ -130,56 +167,33 @@ impl Document {
     }
 }
 
-/// The line of a dialect that holds a record, which is in the dialect's form.
-fn tag_for(record: &Record, dialect: Dialect) -> Option<&'static Tag> {
-    TAGS.iter().filter(|tag| tag.dialect == dialect).find(|tag| match (record, tag.shape) {
-        (Record::Fix { .. }, Shape::Fix) => true,
-        (Record::Vertex { at, .. }, Shape::Vertex(form))
-        | (Record::SensorOffset { at, .. }, Shape::Offset(form)) => form.holds(at),
-        (
-            Record::Edge { measurement, .. },
-            Shape::Edge(form) | Shape::EdgeOptionalMatrix(form) | Shape::EdgeWithParameter(form),
-        ) => form.holds(measurement),
-        _ => false,
-    })
+/// Where lines go, in the form of their dialect.
+struct Writer<'a, W> {
+    out: &'a mut W,
+    dialect: Dialect,
+    options: &'a WriteOptions,
+    text: String,
+    written: Written,
 }
 
-fn format_record(text: &mut String, tag: &Tag, record: &Record) {
-    text.push_str(tag.name);
-    let mut id = |id: u64| {
-        text.push(' ');
-        text.push_str(&id.to_string());
-    };
-    let (coordinates, entries): (&[f64], &[f64]) = match record {
-        Record::Fix { id: vertex } => {
-            id(*vertex);
-            (&[], &[])
+impl<W: Write> Writer<'_, W> {
+    fn line(&mut self, line: &Line) -> io::Result<()> {
+        let Some(tag) = Tag::of(&line.record, self.dialect) else { return Ok(()) };
+        let mut leave_out = |what| *self.written.left_out.entry(what).or_default() += 1;
+        let plain;
+        let mut line = line;
+        if self.options.plain && tag.is_our_own() {
+            leave_out(tag.name);
+            return Ok(());
         }
-        Record::Vertex { id: vertex, at } | Record::SensorOffset { id: vertex, at } => {
-            id(*vertex);
-            (at.numbers(), &[])
+        if self.options.plain && line.kernel.is_some() {
+            leave_out(ROBUST);
+            plain = Line { kernel: None, ..line.clone() };
+            line = &plain;
         }
-        Record::Edge { from, to, measurement, weight, parameter } => {
-            id(*from);
-            id(*to);
-            parameter.map(&mut id);
-            (measurement.numbers(), &weight.entries)
-        }
-        _ => (&[], &[]),
-    };
-    for &x in coordinates.iter().chain(entries) {
-        text.push(' ');
-        push_number(text, x);
+        self.text.clear();
+        push_line(&mut self.text, tag, line);
+        self.written.lines += 1;
+        self.out.write_all(self.text.as_bytes())
     }
-    text.push('\n');
-}
-
-/// The shortest text that reads back as the same bits. Both notations have that property; the
-/// exponent saves long runs of zeros.
-pub(crate) fn push_number(text: &mut String, x: f64) {
-    use std::fmt::Write;
-    let size = x.abs();
-    let plain = size == 0.0 || (1e-5..1e16).contains(&size);
-    // Writing to a string cannot fail.
-    let _ = if plain { write!(text, "{x}") } else { write!(text, "{x:e}") };
 }

@@ -1,5 +1,7 @@
 //! Each line of each dialect, and what it becomes in the others.
 
+mod common;
+
 use evergraph_formats::{
     Coordinates, Dialect, Document, EntryOrder, FormatError, G2oRotation, Initial, ReadOptions,
     Record, Replay, ReplayOptions, WeightKind,
@@ -21,24 +23,10 @@ const UPPER: &str = "1 0 0 0 0 0 2 0 0 0 0 3 0 0 0 4 0 0 5 0 6";
 
 #[test]
 fn lines_of_equal_dialects_are_written_as_they_were() {
-    let g2o = format!(
-        "PARAMS_SE3OFFSET 0 0 0 0.5 0 0 0 1\nVERTEX_SE2 0 1 2 -7.5\nVERTEX_XY 2 3 4\nVERTEX_SE2 1 0 0 0\n\
-         VERTEX_SE3:QUAT 10 1 2 3 0 0 0 1\nVERTEX_SE3:QUAT 11 1 2 3 0 0 -0 -1\nVERTEX_TRACKXYZ 12 1 2 3\n\
-         EDGE_SE2 0 1 0.1 0.2 0.3 1 2 3 9 5 16\nEDGE_SE2_XY 0 2 1 2 3 1 4\n\
-         EDGE_SE3:QUAT 10 11 1 2 3 0 0 0 1 {UPPER}\nEDGE_SE3_TRACKXYZ 10 12 0 1 2 3 4 0 0 5 0 6\nFIX 0\nFIX 10\n"
-    );
-    assert_eq!(written(&parse(&g2o), Dialect::G2o), g2o);
-    let toro = format!(
-        "VERTEX2 0 1 2 3\nVERTEX2 1 1 2 3\nEDGE2 0 1 0.1 0.2 0.3 1 0.5 2 3 0.25 0.125\n\
-         VERTEX3 5 1 2 3 0.1 0.2 0.3\nVERTEX3 6 1 2 3 0.1 0.2 0.3\nEDGE3 5 6 1 2 3 0.1 0.2 0.3 {UPPER}\n"
-    );
-    assert_eq!(written(&parse(&toro), Dialect::Toro), toro);
-    let isam = format!(
-        "EDGE2 0 1 0.1 0.2 0.3 1 0.5 0.25 2 0.125 3\nLANDMARK 0 9 1 2 3 0 4\n\
-         EDGE3 20 21 1 2 3 0.1 0.2 0.3 {UPPER}\nEDGE3 20 21 1 2 3 0.1 0.2 0.3\nPOINT3 20 30 1 2 3 4 0 0 5 0 6\n\
-         POINT3 20 30 1 2 3\n"
-    );
-    assert_eq!(written(&parse(&isam), Dialect::Isam), isam);
+    for text in common::lines::ALL {
+        let document = parse(text);
+        assert_eq!(written(&document, document.dialect()), *text);
+    }
 }
 
 #[test]

@@ -121,15 +121,15 @@ fn graphs_survive_a_detour_through_another_dialect() {
                     assert_eq!(dialect, detour);
                     continue;
                 }
+                Err(FormatError::NothingToWrite { .. }) => {
+                    assert_eq!(document.summary().pose_edges, 0);
+                    continue;
+                }
                 Err(error) => panic!("{error}"),
             };
             let options = evergraph_formats::ReadOptions { ..common::options(&path) };
             let away = match Document::parse("detour", text.as_slice(), &options) {
                 Ok(away) => away,
-                Err(FormatError::Empty { .. }) => {
-                    assert_eq!(document.summary().pose_edges, 0);
-                    continue;
-                }
                 Err(error) => panic!("{}: {error}", path.display()),
             };
             let back = write(&away, document.dialect()).unwrap();

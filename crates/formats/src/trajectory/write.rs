@@ -9,7 +9,7 @@ use evergraph_model::Pose3;
 
 use super::{Trajectory, TrajectoryError, TrajectoryFormat};
 use crate::error::FormatError;
-use crate::write::push_number;
+use crate::write_line::push_number;
 
 impl Trajectory {
     /// Writes the poses, a line each, in the shortest numbers that read back as the same bits.

@@ -2,6 +2,8 @@
 #![allow(dead_code, reason = "each test program uses its own part")]
 #![allow(clippy::print_stdout, reason = "a test says what it skipped or saw")]
 
+pub mod lines;
+
 use std::path::{Path, PathBuf};
 
 use evergraph_formats::{Document, ReadOptions, WeightKind};
@@ -20,11 +22,13 @@ pub fn data(test: &str) -> Option<PathBuf> {
     Some(folder)
 }
 
-/// Graphs of the folders `pose2d`, `pose3d`, `landmark` and `laser2d`, sorted.
+/// Graphs of the folders `pose2d`, `pose3d`, `landmark`, `laser2d` and `range`, sorted.
 pub fn graph_files(data: &Path) -> Vec<PathBuf> {
     let mut files = Vec::new();
-    let mut folders: Vec<PathBuf> =
-        ["pose2d", "pose3d", "landmark", "laser2d"].iter().map(|name| data.join(name)).collect();
+    let mut folders: Vec<PathBuf> = ["pose2d", "pose3d", "landmark", "laser2d", "range"]
+        .iter()
+        .map(|name| data.join(name))
+        .collect();
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(&folder).expect("the data folder can be listed") {
             let path = entry.expect("the data folder can be listed").path();
@@ -44,8 +48,10 @@ fn is_graph(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
     match extension {
-        "g2o" | "graph" | "toro" | "outliers" => true,
+        "g2o" | "graph" | "toro" | "outliers" | "pyfg" => true,
         "log" => name.contains("flirt"),
+        // Of the folder of ranges only the PyFactorGraph files are graphs.
+        "txt" if path.components().any(|part| part.as_os_str() == "range") => false,
         "txt" => !name.starts_with("dlr_") && !name.contains("timestamps"),
         _ => false,
     }

@@ -1,0 +1,154 @@
+//! PyFactorGraph's names of variables: a letter and an index, as `A0` or `L17`.
+//!
+//! The id of a name has the letter in its top byte and the index below, GTSAM's symbol, so that
+//! name and id determine each other.
+
+use std::collections::HashMap;
+
+use crate::document::Document;
+use crate::error::FormatError;
+use crate::measurement::Quantity;
+use crate::record::{Kind, Line, Record};
+
+/// Bits of the index.
+const INDEX_BITS: u32 = 56;
+
+/// The letter of landmarks.
+const LANDMARK: u8 = b'L';
+
+/// The id of a name; `None` for what is no name. An index has one spelling.
+pub(crate) fn parse(word: &str) -> Option<u64> {
+    let (letter, digits) = word.as_bytes().split_first()?;
+    let is_plain = !digits.is_empty() && digits.iter().all(u8::is_ascii_digit);
+    let has_one_spelling = digits == b"0" || digits.first() != Some(&b'0');
+    if !(letter.is_ascii_alphabetic() && is_plain && has_one_spelling) {
+        return None;
+    }
+    let index: u64 = word[1..].parse().ok()?;
+    (index >> INDEX_BITS == 0).then_some(u64::from(*letter) << INDEX_BITS | index)
+}
+
+/// Whether a word looks like a name rather than a number, well spelled or not.
+pub(crate) fn looks_like_one(word: &str) -> bool {
+    let mut bytes = word.bytes();
+    bytes.next().is_some_and(|b| b.is_ascii_alphabetic())
+        && bytes.len() > 0
+        && bytes.all(|b| b.is_ascii_digit())
+}
+
+/// The name of an id: its own if its top byte is a letter, else one with the letter of its kind;
+/// `None` for an id that has none.
+pub(crate) fn of(id: u64, kind: Kind) -> Option<String> {
+    let index = id & (u64::MAX >> (64 - INDEX_BITS));
+    let letter = match u8::try_from(id >> INDEX_BITS).unwrap_or(0) {
+        0 if kind.is_pose() => b'A',
+        0 => LANDMARK,
+        letter if letter.is_ascii_alphabetic() => letter,
+        _ => return None,
+    };
+    Some(format!("{}{index}", char::from(letter)))
+}
+
+/// Whether the id is that of no name, so that it gets one when it is written.
+pub(crate) fn is_new(id: u64) -> bool {
+    id >> INDEX_BITS == 0
+}
+
+/// What a name says about its variable: `L` is a landmark, any other letter a pose.
+pub(crate) fn kind(id: u64, in_space: bool) -> Kind {
+    match (u64::from(LANDMARK) == id >> INDEX_BITS, in_space) {
+        (true, false) => Kind::Point2,
+        (true, true) => Kind::Point3,
+        (false, false) => Kind::Pose2,
+        (false, true) => Kind::Pose3,
+    }
+}
+
+/// That every variable of a document has a name of its own.
+pub(crate) fn check(document: &Document) -> Result<(), FormatError> {
+    let mut owners: HashMap<String, u64> = HashMap::new();
+    for (id, kind) in document.ids() {
+        let file = || document.name().into();
+        let Some(name) = of(id, kind) else {
+            return Err(FormatError::NoName { file: file(), id });
+        };
+        if let Some(other) = owners.insert(name.clone(), id) {
+            return Err(FormatError::NameTaken { file: file(), id, name, other });
+        }
+    }
+    Ok(())
+}
+
+/// Finds out between what ranges lead: the names do not say whether they are in the plane or in
+/// space, and VERTEX lines overrule them. Calls `reject` for each range where nothing says it, and
+/// removes it.
+pub(crate) fn resolve_ranges(
+    lines: &mut Vec<Line>,
+    mut reject: impl FnMut(usize, String) -> Result<(), FormatError>,
+) -> Result<(), FormatError> {
+    let is_range =
+        |record: &Record| matches!(record, Record::Measurement(m) if m.quantity == Quantity::Range);
+    let mut known: HashMap<u64, Kind> = HashMap::new();
+    let mut in_space = None;
+    for record in lines.iter().map(|line| &line.record).filter(|record| !is_range(record)) {
+        if let Record::Vertex { id, at } = record {
+            known.insert(*id, at.kind());
+            in_space.get_or_insert(at.kind().is_in_space());
+        }
+        for (id, kind) in record.ends() {
+            known.entry(id).or_insert(kind);
+            in_space.get_or_insert(kind.is_in_space());
+        }
+    }
+    let mut failure = None;
+    lines.retain_mut(|line| {
+        let number = line.number;
+        let Record::Measurement(range) = &mut line.record else { return true };
+        if range.quantity != Quantity::Range {
+            return true;
+        }
+        let mut refuse = |problem: String| {
+            if failure.is_none() {
+                failure = reject(number, problem).err();
+            }
+            false
+        };
+        let mut seen = range.ends.iter().filter_map(|(id, _)| known.get(id));
+        let Some(in_space) = seen.next().map(|kind| kind.is_in_space()).or(in_space) else {
+            return refuse("no line says whether it is in the plane or in space".into());
+        };
+        for (id, end) in &mut range.ends {
+            *end = known.get(id).copied().unwrap_or_else(|| kind(*id, in_space));
+        }
+        let kinds = range.ends.iter().map(|(_, kind)| *kind).collect::<Vec<_>>();
+        if range.quantity.shape(&kinds).is_none() {
+            let names: Vec<_> = kinds.iter().map(|kind| kind.name()).collect();
+            return refuse(format!("there is no range between a {}", names.join(" and a ")));
+        }
+        true
+    });
+    failure.map_or(Ok(()), Err)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_and_ids_determine_each_other() {
+        for name in ["A0", "z7", "L17", "B72057594037927935"] {
+            let id = parse(name).unwrap();
+            assert_eq!(of(id, Kind::Pose2).unwrap(), name);
+            assert!(!is_new(id));
+        }
+        assert_eq!(parse("A5"), Some(65 << 56 | 5));
+        for word in ["", "A", "5", "A-1", "A+1", "A01", "AB1", "A1.0", "é1", "A72057594037927936"]
+        {
+            assert_eq!(parse(word), None, "{word}");
+        }
+        assert_eq!(of(3, Kind::Pose3).unwrap(), "A3");
+        assert_eq!(of(3, Kind::Point2).unwrap(), "L3");
+        assert_eq!(of(u64::MAX, Kind::Pose2), None);
+        assert_eq!((kind(76 << 56, true), kind(65 << 56, false)), (Kind::Point3, Kind::Pose2));
+    }
+}
