@@ -82,7 +82,7 @@ pub(crate) struct Arguments {
     #[arg(long)]
     all_pairs: bool,
     /// Pair by time, to this many seconds [default: by id, or by time to 0.01]
-    #[arg(long, value_name = "S", value_parser = seconds)]
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = seconds)]
     max_difference: Option<f64>,
     /// Times of the estimate's poses, lines of `id,timestamp`
     #[arg(long, value_name = "FILE.csv")]

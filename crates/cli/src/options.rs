@@ -71,6 +71,9 @@ impl Reading {
     /// Reads a file and warns about what is odd in it.
     pub(crate) fn read(&self, path: &Path, common: &Common) -> Result<Document, Error> {
         let document = Document::read(path, &self.options(common))?;
+        let (name, summary) = (document.name(), document.summary());
+        let (lines, poses, landmarks) = (summary.lines, summary.poses, summary.landmarks);
+        info!(lines, poses, landmarks, "read {name} ({})", document.dialect());
         tell(&document, Output::new(common));
         Ok(document)
     }
