@@ -4,9 +4,10 @@ use evergraph_model::{
     Arguments, Factor, Key, Linearization, Noise, Pose3, VariableId,
     geometry::{skew, wrap_angle},
 };
-use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3x2, RowVector3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3x2, Vector2, Vector3};
 
 use crate::error::{FactorError, finite, fixed, fixed_shape};
+use crate::sphere::{Sphere, unit};
 
 /// A known direction in the world as the robot sees it: two degrees of freedom of the attitude.
 ///
@@ -29,8 +30,7 @@ use crate::error::{FactorError, finite, fixed, fixed_shape};
 pub struct Attitude {
     keys: [VariableId; 1],
     world_direction: Vector3<f64>,
-    measurement: Vector3<f64>,
-    basis: Matrix3x2<f64>,
+    measurement: Sphere,
     noise: Noise,
     sqrt_information: Matrix2<f64>,
 }
@@ -48,14 +48,10 @@ impl Attitude {
         measurement: Vector3<f64>,
         noise: Noise,
     ) -> Result<Self, FactorError> {
-        let world_direction = unit("world direction", world_direction)?;
-        let measurement = unit("measurement", measurement)?;
+        let world_direction = unit("Attitude", "world direction", world_direction)?;
+        let measurement = Sphere::at("Attitude", "measurement", measurement)?;
         let sqrt_information = fixed("Attitude", &noise)?;
-        // The axis farthest from m, so that the cross product is far from zero.
-        let axis = Vector3::from_fn(|i, _| if i == measurement.iamin() { 1.0 } else { 0.0 });
-        let first = measurement.cross(&axis).normalize();
-        let basis = Matrix3x2::from_columns(&[first, measurement.cross(&first)]);
-        Ok(Self { keys: [key.id()], world_direction, measurement, basis, noise, sqrt_information })
+        Ok(Self { keys: [key.id()], world_direction, measurement, noise, sqrt_information })
     }
 
     /// The pose.
@@ -70,13 +66,13 @@ impl Attitude {
 
     /// The direction in the robot's frame, of length one.
     pub fn measurement(&self) -> &Vector3<f64> {
-        &self.measurement
+        self.measurement.direction()
     }
 
     /// `B`: `m × a` normalized with `a` the coordinate axis (the first of them) along which `m` is
     /// shortest, and `m` times that.
     pub fn basis(&self) -> &Matrix3x2<f64> {
-        &self.basis
+        self.measurement.basis()
     }
 
     /// The noise.
@@ -84,21 +80,9 @@ impl Attitude {
         &self.noise
     }
 
-    /// `u`, the unwhitened residual and its derivative by `u`.
-    fn evaluate(&self, at: &Arguments<'_>) -> (Vector3<f64>, Vector2<f64>, Matrix2x3<f64>) {
-        let u = at.get::<Pose3>(0).rotation().inverse_rotate(&self.world_direction);
-        let v = self.basis.tr_mul(&u);
-        let (sin, cos) = (v.norm(), self.measurement.dot(&u));
-        let angle = sin.atan2(cos);
-        if !sin.is_normal() && cos < 0.0 {
-            return (u, Vector2::new(angle, 0.0), Matrix2x3::zeros());
-        }
-        // e = f v with f = α/sin α, and on the sphere df = slope (v·dv) - m·du.
-        let f = if sin.is_normal() { angle / sin } else { 1.0 };
-        let slope = -4.0 * f * f * f * excess(2.0 * angle);
-        let tangent = self.basis.transpose();
-        let df: RowVector3<f64> = slope * v.transpose() * tangent - self.measurement.transpose();
-        (u, f * v, f * tangent + v * df)
+    /// `u`, the world's direction in the robot's frame.
+    fn predicted(&self, at: &Arguments<'_>) -> Vector3<f64> {
+        at.get::<Pose3>(0).rotation().inverse_rotate(&self.world_direction)
     }
 }
 
@@ -106,40 +90,19 @@ impl Factor for Attitude {
     fixed_shape!("Attitude", 2, [Pose3]);
 
     fn residual(&self, at: &Arguments<'_>, out: &mut [f64]) {
-        let (_, error, _) = self.evaluate(at);
+        let (error, _) = self.measurement.log(&self.predicted(at));
         out.copy_from_slice((self.sqrt_information * error).as_slice());
     }
 
     fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
-        let (u, error, by_direction) = self.evaluate(at);
+        let u = self.predicted(at);
+        let (error, by_direction) = self.measurement.log(&u);
         let mut jacobian = Matrix2x6::zeros();
         let rotation = self.sqrt_information * by_direction * skew(&u);
         jacobian.fixed_view_mut::<2, 3>(0, 3).copy_from(&rotation);
         out.set_block(0, &jacobian);
         out.set_residual(&(self.sqrt_information * error));
     }
-}
-
-/// `(t - sin t)/t³`, by its series where the difference would cancel.
-fn excess(t: f64) -> f64 {
-    let x = t * t;
-    if x < 0.04 {
-        return 1.0 / 6.0 - x / 120.0 * (1.0 - x / 42.0 * (1.0 - x / 72.0 * (1.0 - x / 110.0)));
-    }
-    (t - t.sin()) / (x * t)
-}
-
-fn unit(what: &'static str, v: Vector3<f64>) -> Result<Vector3<f64>, FactorError> {
-    finite("Attitude", what, v.as_slice())?;
-    let largest = v.amax();
-    if largest < f64::MIN_POSITIVE {
-        return Err(FactorError::NoDirection {
-            factor: "Attitude",
-            what,
-            numbers: v.as_slice().into(),
-        });
-    }
-    Ok((v / largest).normalize())
 }
 
 /// Roll and pitch in the convention `C = Rz(yaw) Ry(pitch) Rx(roll)` (ZYX):

@@ -39,6 +39,14 @@ pub enum FactorError {
         /// The numbers given.
         numbers: Vec<f64>,
     },
+    /// A distance below zero.
+    #[error("the range of {factor} is {range}; a distance cannot be negative")]
+    NegativeRange {
+        /// The factor's name.
+        factor: &'static str,
+        /// The range given.
+        range: f64,
+    },
     /// Selected components that are not a subset of the tangent's.
     #[error(
         "{factor} cannot measure components {selection:?}: name at least one, ascending, each below {dim}"
@@ -50,6 +58,30 @@ pub enum FactorError {
         selection: Vec<usize>,
         /// Dimension of the tangent space.
         dim: usize,
+    },
+    /// A matrix of combinations that does not fit the tangent.
+    #[error(
+        "the combinations of {factor} are {rows} by {columns}; they need at least one row, and {dim} columns"
+    )]
+    Combinations {
+        /// The factor's name.
+        factor: &'static str,
+        /// Rows of the matrix.
+        rows: usize,
+        /// Columns of the matrix.
+        columns: usize,
+        /// Dimension of the tangent space.
+        dim: usize,
+    },
+    /// A combination of nothing.
+    #[error(
+        "row {row} of the combinations of {factor} is zero and so measures nothing; leave it out"
+    )]
+    EmptyCombination {
+        /// The factor's name.
+        factor: &'static str,
+        /// From 0.
+        row: usize,
     },
     /// Parts of a linear factor that do not fit each other.
     #[error("the {what} of Linear has {actual} {unit}, {expected} are needed")]
@@ -89,6 +121,12 @@ pub(crate) fn finite(
     } else {
         Err(FactorError::NotFinite { factor, what, numbers: numbers.into() })
     }
+}
+
+/// A measured distance.
+pub(crate) fn distance(factor: &'static str, range: f64) -> Result<f64, FactorError> {
+    finite(factor, "range", &[range])?;
+    if range < 0.0 { Err(FactorError::NegativeRange { factor, range }) } else { Ok(range) }
 }
 
 pub(crate) fn finite_value<V: Manifold>(

@@ -10,13 +10,20 @@
 //! |---|---|---|---|
 //! | [`Prior`] | any | `Local(z, x)` | dimension |
 //! | [`Between`] | two of a group | `Log(z⁻¹ xᵢ⁻¹ xⱼ)` | dimension |
-//! | [`PartialBetween`] | two poses | picked rows of `Log(z⁻¹ xᵢ⁻¹ xⱼ)` | 1 to 6 |
+//! | [`PartialBetween`] | two poses | `A Log(z⁻¹ xᵢ⁻¹ xⱼ)`: picked or combined components | any |
+//! | [`DepthDifference`], [`HeadingDifference`] | two poses in space | difference in the world less `d` | 1 |
+//! | [`TranslationDifference2`], [`TranslationDifference3`] | two poses | `tⱼ - tᵢ - d` | 2, 3 |
 //! | [`RelativePosition2`], [`RelativePosition3`] | pose, point | `T⁻¹ p - z` | 2, 3 |
+//! | [`Range`] | two [`Positioned`] | `\|p_b - p_a\| - z` | 1 |
+//! | [`Bearing2`], [`Bearing3`] | pose, [`Positioned`] | angle; logarithm on the sphere | 1, 2 |
+//! | [`BearingRange2`], [`BearingRange3`] | pose, [`Positioned`] | both | 2, 3 |
 //! | [`GpsPosition2`], [`GpsPosition3`] | pose | `t + C a - z` | 2, 3 |
 //! | [`Depth`] | pose in space | `t_z - z` | 1 |
+//! | [`PlanarMotion`] | pose in space | `t_z - h` and tilt | 3 |
 //! | [`Attitude`] | pose in space | logarithm on the sphere of `Cᵀ g` at `m` | 2 |
 //! | [`RollPitch`] | pose in space | ZYX roll and pitch | 2 |
 //! | [`Heading2`], [`Heading3`] | pose | `wrap(heading - psi)` | 1 |
+//! | [`AutoDiff`] | one to four | your own, with an exact Jacobian; see [`autodiff`] | any |
 //! | [`Linear`] | any, any number | `G (Local(x̂', r(x)) - d')` | any |
 //!
 //! Constructors refuse what cannot be measured (numbers that are not finite, a noise of another
@@ -57,25 +64,44 @@
 #![deny(missing_docs)]
 
 mod attitude;
+pub mod autodiff;
+mod bearing2;
+mod bearing3;
 mod between;
+mod differences;
 mod error;
+mod geodetic;
 mod gps;
 mod landmark;
 mod linear;
 mod partial_between;
 mod partial_prior;
+mod planar_motion;
+mod positioned;
 mod prior;
+mod range;
 mod root_shift;
+mod sphere;
 
 pub use attitude::{Attitude, RollPitch};
+pub use autodiff::AutoDiff;
+pub use bearing2::{Bearing2, BearingRange2};
+pub use bearing3::{Bearing3, BearingRange3};
 pub use between::{
     Between, BetweenPoint2, BetweenPoint3, BetweenPose2, BetweenPose3, BetweenRot2, BetweenRot3,
 };
+pub use differences::{
+    DepthDifference, HeadingDifference, TranslationDifference2, TranslationDifference3,
+};
 pub use error::FactorError;
+pub use geodetic::{Geodetic, GeodeticError, LocalFrame};
 pub use gps::{GpsPosition2, GpsPosition3};
 pub use landmark::{RelativePosition2, RelativePosition3};
 pub use linear::Linear;
 pub use partial_between::{PartialBetween, PartialBetweenPose2, PartialBetweenPose3};
 pub use partial_prior::{Depth, Heading2, Heading3};
+pub use planar_motion::PlanarMotion;
+pub use positioned::Positioned;
 pub use prior::{LocalJacobian, Prior};
+pub use range::Range;
 pub use root_shift::RootShift;

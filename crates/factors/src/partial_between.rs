@@ -1,28 +1,31 @@
 //! Relative measurements of part of the state: wheel odometry without heading, a yaw rate, a
-//! planar scan match between poses in space.
+//! planar scan match between poses in space, a speed along a slanted beam.
 
 use std::any::Any;
 
 use evergraph_model::{
     Arguments, Factor, Key, LieGroup, Linearization, Noise, Pose2, Pose3, VariableId, VariableType,
 };
-use nalgebra::{SMatrix, SVector};
-use smallvec::SmallVec;
+use nalgebra::{DMatrix, DMatrixViewMut, SMatrix, SVector};
 
-use crate::error::{FactorError, finite_value};
+use crate::error::{FactorError, finite, finite_value};
 
-/// Some components of a relative transform: `r = R S Log(z⁻¹ (xᵢ⁻¹ xⱼ))`.
+const NAME: &str = "PartialBetween";
+
+/// A part of a relative transform: `r = R A Log(z⁻¹ (xᵢ⁻¹ xⱼ))`.
 ///
-/// `S` picks rows of the tangent, by their index in its order; the noise has as many dimensions.
-/// `z = i_from_j` as in [`Between`](crate::Between). All of `z` takes part, since the tangent is
-/// taken there: give the components that are not measured their expected values. Jacobians are the
-/// picked rows of those of `Between`, whitened.
+/// `A` (k × `N`) combines components of the tangent, in its order; the simplest picks some of them.
+/// The noise has k dimensions. `z = i_from_j` as in [`Between`](crate::Between). All of `z` takes
+/// part, since the tangent is taken there: give what is not measured its expected value. Jacobians
+/// are `A` times those of `Between`, whitened.
 #[derive(Clone, Debug)]
 pub struct PartialBetween<G, const N: usize> {
     keys: [VariableId; 2],
     measurement: G,
-    components: SmallVec<[usize; 6]>,
+    combinations: DMatrix<f64>,
     noise: Noise,
+    /// `R A`.
+    whitened: DMatrix<f64>,
 }
 
 /// [`PartialBetween`] poses in the plane; components 0 x, 1 y, 2 theta.
@@ -42,8 +45,6 @@ impl<G: LieGroup<N>, const N: usize> PartialBetween<G, N> {
         components: &[usize],
         noise: Noise,
     ) -> Result<Self, FactorError> {
-        const NAME: &str = "PartialBetween";
-        finite_value(NAME, "measurement", &measurement)?;
         let ascending = components.windows(2).all(|pair| pair[0] < pair[1]);
         if components.is_empty() || !ascending || components.iter().any(|&c| c >= N) {
             return Err(FactorError::Selection {
@@ -52,14 +53,40 @@ impl<G: LieGroup<N>, const N: usize> PartialBetween<G, N> {
                 dim: N,
             });
         }
-        if noise.dim() != components.len() {
-            return Err(FactorError::NoiseDimension {
-                factor: NAME,
-                expected: components.len(),
-                actual: noise.dim(),
-            });
+        let combinations = DMatrix::from_fn(components.len(), N, |row, column| {
+            if components[row] == column { 1.0 } else { 0.0 }
+        });
+        Self::with_combinations(from, to, measurement, combinations, noise)
+    }
+
+    /// `measurement` is `to` seen from `from`, of which the `combinations` (k × `N`, k ≥ 1) of the
+    /// tangent are known; the noise has k dimensions.
+    ///
+    /// # Errors
+    /// [`FactorError::Combinations`], [`FactorError::EmptyCombination`],
+    /// [`FactorError::NoiseDimension`], [`FactorError::NotFinite`].
+    pub fn with_combinations(
+        from: Key<G>,
+        to: Key<G>,
+        measurement: G,
+        combinations: DMatrix<f64>,
+        noise: Noise,
+    ) -> Result<Self, FactorError> {
+        finite_value(NAME, "measurement", &measurement)?;
+        let (rows, columns) = combinations.shape();
+        if rows == 0 || columns != N {
+            return Err(FactorError::Combinations { factor: NAME, rows, columns, dim: N });
         }
-        Ok(Self { keys: [from.id(), to.id()], measurement, components: components.into(), noise })
+        finite(NAME, "combinations", combinations.as_slice())?;
+        if let Some(row) = (0..rows).find(|&row| combinations.row(row).amax() == 0.0) {
+            return Err(FactorError::EmptyCombination { factor: NAME, row });
+        }
+        if noise.dim() != rows {
+            let actual = noise.dim();
+            return Err(FactorError::NoiseDimension { factor: NAME, expected: rows, actual });
+        }
+        let whitened = noise.sqrt_information() * &combinations;
+        Ok(Self { keys: [from.id(), to.id()], measurement, combinations, noise, whitened })
     }
 
     #[inline]
@@ -69,13 +96,14 @@ impl<G: LieGroup<N>, const N: usize> PartialBetween<G, N> {
         (relative, error)
     }
 
-    fn select(&self, full: &SMatrix<f64, N, N>, out: &mut [f64]) {
-        let rows = self.components.len();
-        for (column, out) in out.chunks_exact_mut(rows).enumerate() {
-            for (out, &component) in out.iter_mut().zip(&self.components) {
-                *out = full[(component, column)];
-            }
-        }
+    /// Writes `R A` times `full`, which has a column per column of `out`.
+    fn combine<const C: usize>(&self, full: &SMatrix<f64, N, C>, out: &mut [f64]) {
+        DMatrixViewMut::from_slice(out, self.whitened.nrows(), C).gemm(
+            1.0,
+            &self.whitened,
+            full,
+            0.0,
+        );
     }
 }
 
@@ -90,17 +118,17 @@ impl<G, const N: usize> PartialBetween<G, N> {
         self.keys[1]
     }
 
-    /// The measured `from⁻¹ to`, with components that were not measured at their expected values.
+    /// The measured `from⁻¹ to`, with what was not measured at its expected value.
     pub fn measurement(&self) -> &G {
         &self.measurement
     }
 
-    /// Indices of the measured tangent components, ascending.
-    pub fn components(&self) -> &[usize] {
-        &self.components
+    /// `A`, which combines the tangent: a row per measured number, a column per component.
+    pub fn combinations(&self) -> &DMatrix<f64> {
+        &self.combinations
     }
 
-    /// The noise of the measured components.
+    /// The noise of the measured combinations.
     pub fn noise(&self) -> &Noise {
         &self.noise
     }
@@ -116,7 +144,7 @@ impl<G: LieGroup<N>, const N: usize> Factor for PartialBetween<G, N> {
     }
 
     fn residual_dim(&self) -> usize {
-        self.components.len()
+        self.combinations.nrows()
     }
 
     fn accepts(&self, position: usize, kind: &VariableType, _: usize) -> bool {
@@ -125,19 +153,16 @@ impl<G: LieGroup<N>, const N: usize> Factor for PartialBetween<G, N> {
 
     fn residual(&self, at: &Arguments<'_>, out: &mut [f64]) {
         let (_, error) = self.evaluate(at);
-        out.iter_mut().zip(&self.components).for_each(|(out, &component)| *out = error[component]);
-        self.noise.whiten_columns(out);
+        self.combine(&error, out);
     }
 
     fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
         let (relative, error) = self.evaluate(at);
         let to = G::right_jacobian_inverse(&error);
         let from = -(to * relative.inverse().adjoint());
-        self.select(&from, out.block_mut(0));
-        self.select(&to, out.block_mut(1));
-        let residual = out.residual_mut().iter_mut().zip(&self.components);
-        residual.for_each(|(out, &component)| *out = error[component]);
-        self.noise.whiten_columns(out.data_mut());
+        self.combine(&from, out.block_mut(0));
+        self.combine(&to, out.block_mut(1));
+        self.combine(&error, out.residual_mut());
     }
 
     fn as_any(&self) -> &dyn Any {

@@ -69,10 +69,7 @@ impl Factor for Depth {
     }
 
     fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
-        let rotation = at.get::<Pose3>(0).rotation().matrix();
-        let mut jacobian = SMatrix::<f64, 1, 6>::zeros();
-        (0..3).for_each(|i| jacobian[i] = self.sqrt_information * rotation[(2, i)]);
-        out.set_block(0, &jacobian);
+        out.set_block(0, &(self.sqrt_information * height_jacobian(&at.get(0))));
         self.residual(at, out.residual_mut());
     }
 }
@@ -123,20 +120,31 @@ impl Factor for Heading3 {
     fixed_shape!("Heading3", 1, [Pose3]);
 
     fn residual(&self, at: &Arguments<'_>, out: &mut [f64]) {
-        let rotation = at.get::<Pose3>(0).rotation().matrix();
-        let heading = rotation[(1, 0)].atan2(rotation[(0, 0)]);
+        let (heading, _) = heading(&at.get(0));
         out[0] = self.sqrt_information * wrap_angle(heading - self.measurement);
     }
 
     fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
-        let c = at.get::<Pose3>(0).rotation().matrix();
-        let horizontal = c[(0, 0)] * c[(0, 0)] + c[(1, 0)] * c[(1, 0)];
-        if horizontal.is_normal() {
-            let scale = self.sqrt_information / horizontal;
-            let jacobian =
-                SMatrix::<f64, 1, 6>::new(0.0, 0.0, 0.0, 0.0, scale * c[(2, 1)], scale * c[(2, 2)]);
-            out.set_block(0, &jacobian);
-        }
+        let (_, jacobian) = heading(&at.get(0));
+        out.set_block(0, &(self.sqrt_information * jacobian));
         self.residual(at, out.residual_mut());
     }
+}
+
+/// The derivative of the height of a pose.
+pub(crate) fn height_jacobian(pose: &Pose3) -> SMatrix<f64, 1, 6> {
+    let c = pose.rotation().matrix();
+    SMatrix::<f64, 1, 6>::new(c[(2, 0)], c[(2, 1)], c[(2, 2)], 0.0, 0.0, 0.0)
+}
+
+/// The heading of a pose in space, as in [`Heading3`], and its derivative.
+pub(crate) fn heading(pose: &Pose3) -> (f64, SMatrix<f64, 1, 6>) {
+    let c = pose.rotation().matrix();
+    let heading = c[(1, 0)].atan2(c[(0, 0)]);
+    let horizontal = c[(0, 0)] * c[(0, 0)] + c[(1, 0)] * c[(1, 0)];
+    if !horizontal.is_normal() {
+        return (heading, SMatrix::zeros());
+    }
+    let (by_y, by_z) = (c[(2, 1)] / horizontal, c[(2, 2)] / horizontal);
+    (heading, SMatrix::<f64, 1, 6>::new(0.0, 0.0, 0.0, 0.0, by_y, by_z))
 }

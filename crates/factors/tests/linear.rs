@@ -2,12 +2,12 @@
 
 mod common;
 
-use common::{POINTS, Sample, Source};
+use common::{POINTS, Sample, Source, linearize};
 use evergraph_factors::{FactorError, Linear, RootShift};
 use evergraph_model::testing::assert_jacobian;
 use evergraph_model::{
-    Arguments, Factor, Graph, LieGroup, Linearization, Manifold, Point2, Point3, Pose2, Pose3,
-    Rot2, Rot3, Value, VariableId, VectorN,
+    Factor, Graph, LieGroup, Manifold, Point2, Point3, Pose2, Pose3, Rot2, Rot3, Value, VariableId,
+    VectorN,
 };
 use nalgebra::{DMatrix, DVector, Vector3};
 
@@ -102,22 +102,6 @@ fn types_from_outside_are_differentiated_numerically() {
         ];
         assert_jacobian(&factor, &at);
     }
-}
-
-/// `[J | r]` of a factor at its own linearization point or elsewhere.
-fn linearize(factor: &Linear, at: &[Value]) -> (DMatrix<f64>, DVector<f64>) {
-    let mut columns = vec![0];
-    columns.extend(at.iter().scan(0, |end, v| {
-        *end += v.dim() as u32;
-        Some(*end)
-    }));
-    let (rows, width) = (factor.residual_dim(), columns[at.len()] as usize);
-    let mut data = vec![0.0; rows * (width + 1)];
-    let storages: Vec<&[f64]> = at.iter().map(Value::storage).collect();
-    factor
-        .linearize(&Arguments::new(&storages), &mut Linearization::new(rows, &columns, &mut data));
-    let residual = data.split_off(rows * width);
-    (DMatrix::from_vec(rows, width, data), DVector::from_vec(residual))
 }
 
 #[test]

@@ -1,14 +1,14 @@
-//! Whether records can be what they say: each by itself, then all together.
+//! Whether a line can be what it says, by itself.
 
-use std::collections::{HashMap, HashSet};
-use std::sync::Arc;
+use std::collections::HashSet;
 
 use evergraph_factors::RootShift;
 
 use crate::error::{Field, FormatError, Place};
 use crate::matrix::{self, Definiteness};
 use crate::measurement::{LinearMeasurement, Measurement, Quantity};
-use crate::record::{Coordinates, Kind, Line, Record, Weight, WeightKind};
+use crate::record::{Coordinates, Kind, Line, Record};
+use crate::weight::{Weight, WeightKind};
 
 /// What was found in a record that can be used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -39,11 +39,11 @@ pub(crate) fn inspect<'a>(
     texts: impl FnOnce(usize) -> Vec<&'a str>,
 ) -> Result<Finding, FormatError> {
     let mut finding = Finding::default();
-    if line.kernel.is_some() && !line.record.is_factor() {
+    if line.kernel().is_some() && !line.record.is_factor() {
         let problem = format!("a {tag} line is no factor");
         return Err(FormatError::BadKernel { place: place.clone(), problem });
     }
-    require_finite(line.time.as_slice(), tag, place)?;
+    require_finite(line.time().as_slice(), tag, place)?;
     inspect_ends(&line.record.ends(), place)?;
     match &line.record {
         Record::Vertex { at, .. } | Record::SensorOffset { at, .. } => {
@@ -70,7 +70,7 @@ pub(crate) fn inspect<'a>(
 }
 
 /// No factor joins a variable to itself. Of a pose and a landmark the ids may be equal: see
-/// [`Kinds`].
+/// [`Kinds`](crate::kinds::Kinds).
 fn inspect_ends(ends: &[(u64, Kind)], place: &Place) -> Result<(), FormatError> {
     let slots = || ends.iter().map(|(id, kind)| slot(*id, *kind));
     let repeated = match ends {
@@ -257,133 +257,9 @@ fn require_finite(numbers: &[f64], tag: &'static str, place: &Place) -> Result<(
     }
 }
 
-/// All variables of a file, by id and whether they are poses. iSAM numbers poses and landmarks
-/// apart, and so does a file that gives VERTEX lines for a pose and a landmark of the same id.
-pub(crate) type Kinds = HashMap<(u64, bool), Kind>;
-
-/// Where a record's variable stands among the [`Kinds`].
+/// A variable's id and whether it is a pose: iSAM numbers poses and landmarks apart.
 pub(crate) fn slot(id: u64, kind: Kind) -> (u64, bool) {
     (id, kind.is_pose())
-}
-
-/// Checks the records of a file together. Calls `reject` for each that does not fit and removes it;
-/// `reject` may stop everything by returning the error.
-pub(crate) fn reconcile(
-    file: &Arc<str>,
-    lines: &mut Vec<Line>,
-    numbered_apart: bool,
-    mut reject: impl FnMut(FormatError) -> Result<(), FormatError>,
-) -> Result<Kinds, FormatError> {
-    let mut kinds = Kinds::new();
-    let mut vertex_lines: HashMap<(u64, bool), usize> = HashMap::new();
-    let mut offset_lines: HashMap<u64, usize> = HashMap::new();
-    let mut failure = None;
-    let mut keep = |result: Result<(), FormatError>| match result {
-        Ok(()) => true,
-        Err(error) => {
-            if failure.is_none() {
-                failure = reject(error).err();
-            }
-            false
-        }
-    };
-    let place = |line| Place { file: Arc::clone(file), line };
-
-    // 1. Vertices and sensor offsets, each once.
-    lines.retain(|Line { number: line, record, .. }| {
-        let (what, id, first) = match record {
-            Record::Vertex { id, at } => {
-                kinds.entry(slot(*id, at.kind())).or_insert(at.kind());
-                ("vertex", *id, *vertex_lines.entry(slot(*id, at.kind())).or_insert(*line))
-            }
-            Record::SensorOffset { id, .. } => {
-                ("sensor offset", *id, *offset_lines.entry(*id).or_insert(*line))
-            }
-            _ => return true,
-        };
-        match first {
-            first if first == *line => true,
-            first => keep(Err(FormatError::Duplicate { place: place(*line), what, id, first })),
-        }
-    });
-
-    // 2. Factors: of what is there, and of what they can measure.
-    let has_vertices = !kinds.is_empty();
-    lines.retain(|Line { number: line, record, .. }| {
-        if !record.is_factor() {
-            return true;
-        }
-        let ends = record.ends();
-        let check_end = |(id, used): (u64, Kind)| {
-            let other = || kinds.get(&(id, !used.is_pose())).filter(|_| !numbered_apart);
-            match kinds.get(&slot(id, used)).or_else(other) {
-                Some(&actual) if actual == used => Ok(()),
-                Some(&actual) => {
-                    let (used, actual) = (used.name(), actual.name());
-                    Err(FormatError::WrongKind { place: place(*line), id, used, actual })
-                }
-                None if has_vertices => Err(FormatError::MissingVertex { place: place(*line), id }),
-                None => Ok(()),
-            }
-        };
-        let check = || {
-            if let Some(id) = record.parameter()
-                && !offset_lines.contains_key(&id)
-            {
-                return Err(FormatError::MissingOffset { place: place(*line), id });
-            }
-            ends.iter().copied().try_for_each(check_end)?;
-            // A pose and a landmark of one id.
-            let twin = |&(id, kind): &(u64, Kind)| {
-                !kind.is_pose()
-                    && ends.contains(&(id, kind.observer()))
-                    && !kinds.contains_key(&(id, false))
-            };
-            match ends.iter().find(|end| twin(end)) {
-                Some((id, _)) if !numbered_apart => {
-                    Err(FormatError::SelfEdge { place: place(*line), id: *id })
-                }
-                _ => Ok(()),
-            }
-        };
-        let is_good = keep(check());
-        if is_good && !has_vertices {
-            kinds.extend(ends.iter().map(|(id, kind)| (slot(*id, *kind), *kind)));
-        }
-        is_good
-    });
-
-    // 3. What is fixed: poses that are there.
-    lines.retain(|Line { number: line, record, .. }| {
-        let Record::Fix { id } = record else { return true };
-        keep(match kinds.get(&(*id, true)).or(kinds.get(&(*id, false))) {
-            Some(kind) if kind.is_pose() => Ok(()),
-            Some(kind) => Err(FormatError::WrongKind {
-                place: place(*line),
-                id: *id,
-                used: "pose that holds the gauge",
-                actual: kind.name(),
-            }),
-            None => Err(FormatError::MissingVertex { place: place(*line), id: *id }),
-        })
-    });
-
-    // 4. One place on the earth.
-    let mut origin = None;
-    lines.retain(|Line { number: line, record, .. }| match (record, origin) {
-        (Record::GeodeticOrigin { .. }, None) => {
-            origin = Some(*line);
-            true
-        }
-        (Record::GeodeticOrigin { .. }, Some(first)) => {
-            keep(Err(FormatError::SecondOrigin { place: place(*line), first }))
-        }
-        _ => true,
-    });
-    match failure {
-        Some(error) => Err(error),
-        None => Ok(kinds),
-    }
 }
 
 /// A measurement that cannot be used, for a reason in words.

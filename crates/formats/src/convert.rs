@@ -12,7 +12,8 @@ use crate::matrix;
 use crate::measurement::{Measurement, Quantity};
 use crate::names;
 use crate::options::{Dialect, G2oRotation};
-use crate::record::{Coordinates, EntryOrder, Kind, Line, Record, Weight, WeightKind};
+use crate::record::{Coordinates, Kind, Line, Record};
+use crate::weight::{EntryOrder, Weight, WeightKind};
 
 /// The pose that 3D coordinates name; `None` for other coordinates.
 pub(crate) fn pose3(at: &Coordinates) -> Option<Pose3> {
@@ -151,23 +152,26 @@ impl<'a> Converter<'a> {
     /// taken into the robot's frame).
     pub fn line(&self, line: &Line) -> Result<Option<Line>, FormatError> {
         let place = self.document.place(line.number);
-        if line.kernel.is_some() && self.target != Dialect::G2o {
+        if line.kernel().is_some() && self.target != Dialect::G2o {
             return Err(self.unsupported("a robust kernel", &place));
         }
         let Some(record) = self.record(&line.record, &place)? else { return Ok(None) };
         let time = if self.target == Dialect::Pyfg { self.time(line) } else { None };
-        Ok(Some(Line { time, record, ..*line }))
+        let mut converted = Line::new(line.number, record);
+        converted.set_time(time);
+        converted.set_kernel(line.kernel());
+        Ok(Some(converted))
     }
 
     /// The line's time; where it has none and needs one, the rank of its last pose.
     fn time(&self, line: &Line) -> Option<f64> {
         let rank = |id| self.ranks.get(&id).copied().unwrap_or(0);
         let last = match &line.record {
-            Record::Vertex { at, .. } if !at.kind().is_pose() => return line.time,
+            Record::Vertex { at, .. } if !at.kind().is_pose() => return line.time(),
             Record::Vertex { id, .. } => rank(*id),
             factor => factor.ends().iter().map(|(id, _)| rank(*id)).max().unwrap_or(0),
         };
-        line.time.or(Some(f64::from(last)))
+        line.time().or(Some(f64::from(last)))
     }
 
     fn unsupported(&self, what: &'static str, place: &Place) -> FormatError {

@@ -6,11 +6,14 @@ use std::io::{BufRead, BufReader, Seek};
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::check::{self, Finding, Kinds};
+use crate::check::{self, Finding};
 use crate::error::{FormatError, Place};
+use crate::kinds::Kinds;
 use crate::options::{Dialect, G2oRotation, ReadOptions};
 use crate::parse;
-use crate::record::{Kind, Line, Record, WeightKind};
+use crate::reconcile::reconcile;
+use crate::record::{Kind, Line, Record};
+use crate::weight::WeightKind;
 
 /// The records of a graph file, in the order of its lines and in the file's own numbers.
 ///
@@ -193,7 +196,8 @@ impl Document {
         let name: Arc<str> = name.into();
         let mut contents = Contents { dialect: Some(dialect), ..Contents::default() };
         for (index, record) in records.into_iter().enumerate() {
-            let line = Line { number: index + 1, ..record.into() };
+            let mut line: Line = record.into();
+            line.number = index + 1;
             let place = Place { file: Arc::clone(&name), line: line.number };
             let finding = check::inspect(&line, line.record.name(), &place, |_| Vec::new())?;
             contents.note(finding);
@@ -211,7 +215,7 @@ impl Document {
         let mut lines = std::mem::take(&mut contents.lines);
         let dialect = contents.dialect.unwrap_or(Dialect::G2o);
         let numbered_apart = dialect == Dialect::Isam;
-        let kinds = check::reconcile(&name, &mut lines, numbered_apart, |error| {
+        let kinds = reconcile(&name, &mut lines, numbered_apart, |error| {
             let line = error.line();
             contents.reject(error, line, options.lenient)
         })?;
@@ -269,15 +273,12 @@ impl Document {
     /// What a variable is, if it is here. Where a pose and a landmark have the same id, as in some
     /// iSAM files, which number them apart, it is the pose.
     pub fn kind(&self, id: u64) -> Option<Kind> {
-        self.kinds.get(&(id, true)).or(self.kinds.get(&(id, false))).copied()
+        self.kinds.get(id, true).or(self.kinds.get(id, false))
     }
 
     /// All variables, by id, a pose before a landmark.
     pub fn ids(&self) -> Vec<(u64, Kind)> {
-        let mut ids: Vec<(u64, Kind)> =
-            self.kinds.iter().map(|(slot, kind)| (slot.0, *kind)).collect();
-        ids.sort_unstable_by_key(|(id, kind)| (*id, !kind.is_pose()));
-        ids
+        self.kinds.as_slice().to_vec()
     }
 
     pub(crate) fn place(&self, line: usize) -> Place {
@@ -287,7 +288,8 @@ impl Document {
 
 impl Summary {
     pub(crate) fn count(&mut self, lines: &[Line], kinds: &Kinds) {
-        self.poses = kinds.values().filter(|kind| kind.is_pose()).count();
+        let kinds = kinds.as_slice();
+        self.poses = kinds.iter().filter(|(_, kind)| kind.is_pose()).count();
         self.landmarks = kinds.len() - self.poses;
         (self.vertices, self.pose_edges, self.landmark_edges) = (0, 0, 0);
         (self.fixed, self.offsets, self.measurements) = (0, 0, 0);

@@ -373,6 +373,40 @@ pub enum FormatError {
         /// What it cannot hold.
         what: &'static str,
     },
+    /// A variable of a type that files do not hold.
+    #[error(
+        "{file}: variable {variable} is a {kind}, for which there is no line; files hold Pose2, Pose3, Point2 and Point3"
+    )]
+    NoLineForVariable {
+        /// The file.
+        file: Arc<str>,
+        /// The variable.
+        variable: VariableId,
+        /// Its type.
+        kind: &'static str,
+    },
+    /// A factor of a type that files do not hold.
+    #[error(
+        "{file}: there is no line for the factor {factor} on {ids:?}; files hold the factors of this library, under one robust kernel at most"
+    )]
+    NoLineForFactor {
+        /// The file.
+        file: Arc<str>,
+        /// What the factor is called.
+        factor: String,
+        /// The ids of its variables.
+        ids: Vec<u64>,
+    },
+    /// The caller has no id or no value for a variable of the graph.
+    #[error("{file}: no {what} is given for variable {variable}; every variable needs one")]
+    NotGiven {
+        /// The file.
+        file: Arc<str>,
+        /// `id` or `value`.
+        what: &'static str,
+        /// The variable.
+        variable: VariableId,
+    },
     /// An estimate for an id that the document does not have, or of another type.
     #[error("{file}: the estimate given for {id} does not fit: {problem}")]
     BadEstimate {

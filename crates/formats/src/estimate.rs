@@ -88,7 +88,7 @@ impl Document {
                 |problem| FormatError::BadEstimate { file: Arc::clone(&self.name), id, problem };
             let at = coordinates(&value, self.dialect)
                 .ok_or_else(|| bad(format!("no vertex is a {}", value.kind().name())))?;
-            match self.kinds.get(&slot(id, at.kind())).copied().or(self.kind(id)) {
+            match self.kinds.get(id, at.kind().is_pose()).or(self.kind(id)) {
                 None => return Err(bad("the document has no such vertex".into())),
                 Some(kind) if kind != at.kind() => {
                     return Err(bad(format!(
@@ -111,7 +111,7 @@ impl Document {
 }
 
 /// A value in the numbers that a dialect writes, if files can hold its type.
-fn coordinates(value: &Value, dialect: Dialect) -> Option<Coordinates> {
+pub(crate) fn coordinates(value: &Value, dialect: Dialect) -> Option<Coordinates> {
     if let Some(pose) = value.get::<Pose2>() {
         return Some(Coordinates::Pose2([pose.x(), pose.y(), pose.theta()]));
     }

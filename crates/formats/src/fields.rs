@@ -5,13 +5,14 @@ use smallvec::SmallVec;
 use crate::error::{Field, FormatError, Place, excerpt};
 use crate::names;
 use crate::options::Dialect;
-use crate::record::{Weight, WeightKind};
 use crate::tags::{Shape, Tag};
+use crate::weight::{Recent, Weight, WeightKind};
 
 /// The fields of one line.
 pub(crate) struct Fields<'a> {
     pub tag: &'static Tag,
     pub place: &'a Place,
+    recent: &'a mut Recent,
     rest: &'a str,
     words: std::str::SplitAsciiWhitespace<'a>,
     taken: usize,
@@ -22,12 +23,12 @@ pub(crate) struct Fields<'a> {
 }
 
 impl<'a> Fields<'a> {
-    pub fn new(tag: &'static Tag, rest: &'a str, place: &'a Place) -> Self {
+    pub fn new(tag: &'static Tag, rest: &'a str, place: &'a Place, recent: &'a mut Recent) -> Self {
         let words = rest.split_ascii_whitespace();
         // Counted only where it matters.
         let has_optional =
             tag.layout.contains('[') && words.clone().count() >= tag.layout.split(' ').count();
-        Self { tag, place, rest, words, taken: 0, has_optional, label: None }
+        Self { tag, place, recent, rest, words, taken: 0, has_optional, label: None }
     }
 
     pub fn word(&mut self) -> Result<&'a str, FormatError> {
@@ -133,7 +134,7 @@ impl<'a> Fields<'a> {
         for _ in 0..count {
             entries.push(self.number()?);
         }
-        Ok(Weight { kind, order: self.tag.order(), entries })
+        Ok(Weight { kind, order: self.tag.order(), entries: self.recent.share(entries) })
     }
 
     /// Nothing more may follow.

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::record::{EntryOrder, Weight, WeightKind};
+use crate::weight::{Entries, EntryOrder, Weight, WeightKind};
 
 /// What a check of definiteness says.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,7 +56,7 @@ pub(crate) fn as_written(weight: &Weight, n: usize) -> Option<DMatrix<f64>> {
 }
 
 /// The entries of the upper triangle, in an order.
-pub(crate) fn entries(matrix: &DMatrix<f64>, order: EntryOrder) -> smallvec::SmallVec<[f64; 6]> {
+pub(crate) fn entries(matrix: &DMatrix<f64>, order: EntryOrder) -> Entries {
     let n = matrix.nrows();
     (0..n * (n + 1) / 2)
         .map(|k| {
@@ -237,11 +237,11 @@ mod tests {
         let toro =
             as_written(&weight(&[1.0, 2.0, 4.0, 6.0, 3.0, 5.0], EntryOrder::Toro), 3).unwrap();
         assert_eq!(rows, toro);
-        assert_eq!(entries(&rows, EntryOrder::Toro).as_slice(), [1.0, 2.0, 4.0, 6.0, 3.0, 5.0]);
+        assert_eq!(entries(&rows, EntryOrder::Toro)[..], [1.0, 2.0, 4.0, 6.0, 3.0, 5.0]);
         let six: Vec<f64> = (0..21).map(f64::from).collect();
         let matrix = as_written(&weight(&six, EntryOrder::UpperTriangle), 6).unwrap();
         assert_eq!((matrix[(0, 5)], matrix[(1, 1)], matrix[(5, 5)]), (5.0, 6.0, 20.0));
-        assert_eq!(entries(&matrix, EntryOrder::UpperTriangle).as_slice(), six);
+        assert_eq!(entries(&matrix, EntryOrder::UpperTriangle)[..], six);
         assert!(as_written(&weight(&six, EntryOrder::UpperTriangle), 3).is_none());
     }
 

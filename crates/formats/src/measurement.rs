@@ -3,7 +3,8 @@
 use evergraph_factors::RootShift;
 use smallvec::SmallVec;
 
-use crate::record::{Coordinates, Kind, Weight};
+use crate::record::{Coordinates, Kind};
+use crate::weight::Weight;
 
 /// A measurement of one variable or of two.
 #[derive(Clone, Debug, PartialEq)]

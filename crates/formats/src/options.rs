@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
 
-use crate::record::WeightKind;
+use crate::weight::WeightKind;
 
 /// A family of graph files. Told by content, never by extension: see [`ReadOptions::format`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -11,8 +11,9 @@ use crate::error::{FormatError, Place, excerpt};
 use crate::names;
 use crate::options::{Dialect, ReadOptions};
 use crate::read_line::{self, split_word};
-use crate::record::{Line, WeightKind};
+use crate::record::Line;
 use crate::tags::{IGNORED, ROBUST, TAGS, Tag};
+use crate::weight::{Recent, WeightKind};
 
 /// The longest line that is read. Laser scans take a few kilobytes, graph lines a few hundred bytes.
 const LONGEST_LINE: usize = 1 << 20;
@@ -36,6 +37,7 @@ pub(crate) fn read(
         is_certain: options.format.is_some(),
         contents: Contents::default(),
         records: Vec::new(),
+        recent: Recent::default(),
         last: None,
     };
     let mut line = Vec::with_capacity(1024);
@@ -139,6 +141,7 @@ struct Parser<'a> {
     contents: Contents,
     /// Records of the line at hand.
     records: Vec<Line>,
+    recent: Recent,
     /// The newest good line's tag; the next line mostly has the same.
     last: Option<&'static Tag>,
 }
@@ -203,9 +206,9 @@ impl Parser<'_> {
             return Err(FormatError::BadKernel { place: place.clone(), problem });
         }
         self.records.clear();
-        tag.read(rest, place, matrix, |line| self.records.push(line))?;
+        tag.read(rest, place, matrix, &mut self.recent, |line| self.records.push(line))?;
         for mut line in self.records.drain(..) {
-            line.kernel = kernel;
+            line.set_kernel(kernel);
             let texts = |entries| {
                 let words: Vec<&str> = rest.split_ascii_whitespace().collect();
                 words[words.len().saturating_sub(entries)..].to_vec()

@@ -8,8 +8,9 @@ use crate::error::{FormatError, Place, excerpt};
 use crate::fields::Fields;
 use crate::measurement::{LinearMeasurement, Measurement, Quantity};
 use crate::names;
-use crate::record::{Coordinates, Kind, Line, Record, WeightKind};
+use crate::record::{Coordinates, Kind, Line, Record};
 use crate::tags::{Form, KERNELS, ROBUST, Shape, Tag};
+use crate::weight::{Recent, WeightKind};
 
 /// What the linearization points of `FACTOR_LINEAR` are called.
 pub(crate) const POINTS: &[(&str, Form)] =
@@ -29,11 +30,16 @@ impl Tag {
         rest: &str,
         place: &Place,
         matrix: WeightKind,
+        recent: &mut Recent,
         mut out: impl FnMut(Line),
     ) -> Result<(), FormatError> {
-        let mut fields = Fields::new(self, rest, place);
+        let mut fields = Fields::new(self, rest, place, recent);
         let time = fields.time()?;
-        let mut put = |record| out(Line { number: place.line, time, kernel: None, record });
+        let mut put = |record: Record| {
+            let mut line = Line::new(place.line, record);
+            line.set_time(time);
+            out(line);
+        };
         if self.shape == Shape::Fix {
             let mut ids: SmallVec<[u64; 4]> = SmallVec::from_slice(&[fields.id()?]);
             while !fields.is_at_end() {

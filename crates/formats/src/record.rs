@@ -6,24 +6,61 @@ use smallvec::SmallVec;
 use crate::measurement::{LinearMeasurement, Measurement, Quantity};
 use crate::options::Dialect;
 use crate::tags::Tag;
+use crate::weight::Weight;
 
 /// A line of a graph file: what it says, and what the file says about it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
     /// The line, from 1; 0 for a record that was added later.
     pub number: usize,
-    /// When, in seconds, where the file says so (PyFactorGraph).
-    pub time: Option<f64>,
-    /// The robust kernel that the factor stands under; `None` for anything but a factor.
-    pub kernel: Option<Kernel>,
     /// What it says.
     pub record: Record,
+    /// Few lines have any, and a file has millions of lines.
+    notes: Option<Box<Notes>>,
+}
+
+/// What is said about a line.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Notes {
+    time: Option<f64>,
+    kernel: Option<Kernel>,
 }
 
 impl From<Record> for Line {
     /// A record of no file, without time and kernel.
     fn from(record: Record) -> Self {
-        Self { number: 0, time: None, kernel: None, record }
+        Self::new(0, record)
+    }
+}
+
+impl Line {
+    /// What line `number` says.
+    pub fn new(number: usize, record: Record) -> Self {
+        Self { number, record, notes: None }
+    }
+
+    /// When, in seconds, where the file says so (PyFactorGraph).
+    pub fn time(&self) -> Option<f64> {
+        self.notes.as_ref()?.time
+    }
+
+    /// The robust kernel that the factor stands under; `None` for anything but a factor.
+    pub fn kernel(&self) -> Option<Kernel> {
+        self.notes.as_ref()?.kernel
+    }
+
+    /// Gives it a time, or none.
+    pub fn set_time(&mut self, time: Option<f64>) {
+        self.set_notes(Notes { time, kernel: self.kernel() });
+    }
+
+    /// Puts it under a kernel, or none.
+    pub fn set_kernel(&mut self, kernel: Option<Kernel>) {
+        self.set_notes(Notes { time: self.time(), kernel });
+    }
+
+    fn set_notes(&mut self, notes: Notes) {
+        self.notes = (notes != Notes::default()).then(|| Box::new(notes));
     }
 }
 
@@ -92,37 +129,6 @@ pub enum Coordinates {
     Pose3Euler([f64; 6]),
     /// `x y z` (m).
     Point3([f64; 3]),
-}
-
-/// The matrix of a measurement, as it stands in the file.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Weight {
-    /// What the matrix is.
-    pub kind: WeightKind,
-    /// The order of its entries.
-    pub order: EntryOrder,
-    /// The entries; empty when the line had none (identity).
-    pub entries: SmallVec<[f64; 6]>,
-}
-
-/// What the matrix of a measurement is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum WeightKind {
-    /// Information, the inverse of the covariance.
-    Information,
-    /// Upper triangular `R` with information `RᵀR`.
-    SquareRoot,
-    /// Covariance.
-    Covariance,
-}
-
-/// In which order the entries of a symmetric or triangular matrix are written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum EntryOrder {
-    /// The upper triangle, row by row.
-    UpperTriangle,
-    /// TORO's 2D order `11 12 22 33 13 23`.
-    Toro,
 }
 
 /// What a variable is.

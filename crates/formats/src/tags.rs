@@ -4,7 +4,8 @@ use evergraph_model::{Kernel, KernelError};
 
 use crate::measurement::Quantity;
 use crate::options::Dialect;
-use crate::record::{Coordinates, EntryOrder, Kind, Record};
+use crate::record::{Coordinates, Kind, Record};
+use crate::weight::EntryOrder;
 
 /// How coordinates are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

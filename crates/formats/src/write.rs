@@ -81,7 +81,7 @@ impl Document {
             Writer { out, dialect, options, text: String::new(), written: Written::default() };
         let failed = |source| FormatError::Write { file: self.name().into(), source };
         if let Some(offset) = converter.default_offset() {
-            writer.line(&offset.into()).map_err(failed)?;
+            writer.line(offset.into()).map_err(failed)?;
         }
         // TORO tells its EDGE2 from iSAM's by the vertices before it.
         let vertices_first = dialect == Dialect::Toro && self.edges_come_first();
@@ -98,10 +98,10 @@ impl Document {
                     continue;
                 };
                 writer.written.dropped_times +=
-                    usize::from(line.time.is_some() && converted.time.is_none());
+                    usize::from(line.time().is_some() && converted.time().is_none());
                 writer.written.added_times +=
-                    usize::from(line.time.is_none() && converted.time.is_some());
-                writer.line(&converted).map_err(failed)?;
+                    usize::from(line.time().is_none() && converted.time().is_some());
+                writer.line(converted).map_err(failed)?;
             }
         }
         writer.out.flush().map_err(failed)?;
@@ -177,22 +177,19 @@ struct Writer<'a, W> {
 }
 
 impl<W: Write> Writer<'_, W> {
-    fn line(&mut self, line: &Line) -> io::Result<()> {
+    fn line(&mut self, mut line: Line) -> io::Result<()> {
         let Some(tag) = Tag::of(&line.record, self.dialect) else { return Ok(()) };
         let mut leave_out = |what| *self.written.left_out.entry(what).or_default() += 1;
-        let plain;
-        let mut line = line;
         if self.options.plain && tag.is_our_own() {
             leave_out(tag.name);
             return Ok(());
         }
-        if self.options.plain && line.kernel.is_some() {
+        if self.options.plain && line.kernel().is_some() {
             leave_out(ROBUST);
-            plain = Line { kernel: None, ..line.clone() };
-            line = &plain;
+            line.set_kernel(None);
         }
         self.text.clear();
-        push_line(&mut self.text, tag, line);
+        push_line(&mut self.text, tag, &line);
         self.written.lines += 1;
         self.out.write_all(self.text.as_bytes())
     }

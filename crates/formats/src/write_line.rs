@@ -11,15 +11,15 @@ use crate::tags::{ROBUST, Tag, kernel_name};
 
 /// Appends the line of a record that is in the form of the tag's dialect, with its time and kernel.
 pub(crate) fn push_line(text: &mut String, tag: &Tag, line: &Line) {
-    if let Some(kernel) = &line.kernel {
-        push_words(text, &[ROBUST, " ", kernel_name(kernel)]);
+    if let Some(kernel) = line.kernel() {
+        push_words(text, &[ROBUST, " ", kernel_name(&kernel)]);
         push_numbers(text, &[kernel.threshold()]);
         text.push(' ');
     }
     text.push_str(tag.name);
     let mut fields = Text { text, dialect: tag.dialect };
     if tag.dialect == Dialect::Pyfg {
-        push_numbers(fields.text, line.time.as_slice());
+        push_numbers(fields.text, line.time().as_slice());
     }
     fields.record(&line.record);
     text.push('\n');

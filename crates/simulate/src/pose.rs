@@ -141,12 +141,16 @@ pub(crate) fn about_z(angle: f64) -> UnitQuaternion<f64> {
 /// `diag(1/σ²)` as a file writes it.
 pub(crate) fn information(sigmas: &[f64]) -> Weight {
     let n = sigmas.len();
-    let mut entries = SmallVec::with_capacity(n * (n + 1) / 2);
+    let mut entries: SmallVec<[f64; 6]> = SmallVec::with_capacity(n * (n + 1) / 2);
     for (row, sigma) in sigmas.iter().enumerate() {
         entries.push(1.0 / (sigma * sigma));
         entries.extend(std::iter::repeat_n(0.0, n - row - 1));
     }
-    Weight { kind: WeightKind::Information, order: EntryOrder::UpperTriangle, entries }
+    Weight {
+        kind: WeightKind::Information,
+        order: EntryOrder::UpperTriangle,
+        entries: entries.into(),
+    }
 }
 
 fn unit_complex(re: f64, im: f64) -> UnitComplex<f64> {
@@ -210,7 +214,7 @@ mod tests {
     fn information_is_the_upper_triangle_of_a_diagonal() {
         let weight = information(&[0.5, 0.1, 0.25]);
         let expected = [4.0, 0.0, 0.0, 1.0 / (0.1 * 0.1), 0.0, 16.0];
-        assert_eq!(weight.entries.as_slice(), expected);
+        assert_eq!(weight.entries[..], expected);
         assert_eq!(information(&[1.0; 6]).entries.len(), 21);
     }
 }

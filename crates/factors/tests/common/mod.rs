@@ -4,9 +4,10 @@
 use std::f64::consts::PI;
 
 use evergraph_model::{
-    Graph, Key, LieGroup, Manifold, Noise, Point2, Point3, Pose2, Pose3, Rot2, Rot3, Value,
+    Arguments, Factor, Graph, Key, LieGroup, Linearization, Manifold, Noise, Point2, Point3, Pose2,
+    Pose3, Rot2, Rot3, Value,
 };
-use nalgebra::{DMatrix, SVector, Vector3};
+use nalgebra::{DMatrix, DVector, SVector, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -117,4 +118,42 @@ pub fn keys<A: Manifold, B: Manifold>(a: &A, b: &B) -> (Key<A>, Key<B>) {
 
 pub fn values<A: Manifold, B: Manifold>(a: &A, b: &B) -> [Value; 2] {
     [Value::new(a), Value::new(b)]
+}
+
+/// A pose that is neither rolled nor pitched.
+pub fn level(x: f64, y: f64, z: f64, yaw: f64) -> Pose3 {
+    Pose3::new(Rot3::from_roll_pitch_yaw(0.0, 0.0, yaw), [x, y, z])
+}
+
+pub fn unit(dim: usize) -> Noise {
+    Noise::isotropic(dim, 1.0).expect("one is a standard deviation")
+}
+
+pub fn residual(factor: &dyn Factor, values: &[Value]) -> Vec<f64> {
+    let storages: Vec<&[f64]> = values.iter().map(Value::storage).collect();
+    let mut out = vec![f64::NAN; factor.residual_dim()];
+    factor.residual(&Arguments::new(&storages), &mut out);
+    out
+}
+
+/// The whole Jacobian and the residual.
+pub fn linearize(factor: &dyn Factor, at: &[Value]) -> (DMatrix<f64>, DVector<f64>) {
+    let mut columns = vec![0];
+    columns.extend(at.iter().scan(0, |end, v| {
+        *end += v.dim() as u32;
+        Some(*end)
+    }));
+    let (rows, width) = (factor.residual_dim(), columns[at.len()] as usize);
+    let mut data = vec![0.0; rows * (width + 1)];
+    let storages: Vec<&[f64]> = at.iter().map(Value::storage).collect();
+    factor
+        .linearize(&Arguments::new(&storages), &mut Linearization::new(rows, &columns, &mut data));
+    let residual = data.split_off(rows * width);
+    (DMatrix::from_vec(rows, width, data), DVector::from_vec(residual))
+}
+
+#[track_caller]
+pub fn close(actual: &[f64], expected: &[f64]) {
+    let close = actual.iter().zip(expected).all(|(a, e)| (a - e).abs() < 1e-12);
+    assert!(close && actual.len() == expected.len(), "{actual:?} is not {expected:?}");
 }

@@ -1,21 +1,29 @@
 //! A file as the changes that a robot would have made.
 
 mod emit;
-mod measure;
+mod evaluate;
+mod factor;
+mod gather;
+mod gauge;
+mod geometry;
+mod held;
+mod observation;
 mod order;
+mod place_landmark;
+mod rigid;
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-use evergraph_model::{Change, FactorId, Kernel, Noise, Value, VariableId};
+use evergraph_model::{Change, FactorId, Graph, Kernel, Noise, Value, VariableId};
 
-use crate::check::{bad, slot};
-use crate::convert;
+use crate::check::slot;
 use crate::document::Document;
 use crate::error::{FormatError, Place};
 use crate::options::Dialect;
-use crate::record::{Line, Record};
-use measure::{Geometry, Handle, Measured};
+use geometry::{Geometry, Handle};
+use held::Held;
+use observation::Observation;
 use order::{By, Link, Node, Planned};
 
 /// Where the start value of a new variable comes from.
@@ -38,8 +46,10 @@ pub struct ReplayOptions {
     pub prior: Option<f64>,
     /// Where start values come from. Default: odometry.
     pub initial: Initial,
-    /// Put around *every* factor of the file, odometry included, since which edges may be wrong is
-    /// not written there; priors stay as they are. Default: none.
+    /// Put around *every* measurement between two variables that has no kernel in the file, odometry
+    /// included, since which edges may be wrong is not written there. Absolute measurements (priors,
+    /// positions, attitudes) stay as they are, since they may be all that holds the map, and so do
+    /// linear factors, which stand for many measurements. Default: none.
     pub kernel: Option<Kernel>,
 }
 
@@ -69,6 +79,9 @@ pub struct GaugePrior {
     pub factor: FactorId,
     /// Its standard deviation, in metres and radians.
     pub sigma: f64,
+    /// How many directions of the pose it holds: all, or those that absolute measurements leave
+    /// free.
+    pub directions: usize,
     /// Whether a FIX line put it there.
     pub fixed: bool,
 }
@@ -92,20 +105,37 @@ pub struct Step {
 ///
 /// **Order.** In a g2o file, which has no time, pose k (by id) arrives with every edge whose larger
 /// pose is k. TORO and iSAM files are in time order: a step is one new pose and every line up to the
-/// next new pose. Edges to landmarks belong to their pose. A pose without an edge to a pose that is
-/// present, and not the first of its connected component, is held back with its edges until an edge
-/// connects it. Poses that only landmarks tie to the rest come last, a step for each part that is
-/// tied together by edges between poses; they start from the vertex of the first of them, or at the
-/// origin. Where such a part is only determined together with a later one, its step is refused. Landmarks that no
-/// pose sees are left out.
+/// next new pose. Where lines have times they are sorted by them, odometry first among equals. Edges
+/// to landmarks belong to their pose. A pose without an edge to a pose that is present, and not the
+/// first of its connected component, is held back with its edges until an edge connects it. A linear
+/// factor on poses counts as an edge if it leaves their relative poses no freedom. Any other
+/// measurement, of one variable or of several, brings none in: it comes with the last of them.
+/// Landmarks that nothing measures are left out.
+///
+/// Poses that only such measurements or landmarks tie to the rest come last, a step for each part
+/// that is tied together by edges between poses. A part that what is there does not determine comes
+/// with the next ones, as many as it takes.
+///
+/// **Landmarks without a sighting.** A landmark that is not seen in full from any pose, but by
+/// bearings or ranges, is held back ([`held_back`](Self::held_back)) until its measurements, taken
+/// from where the poses are estimated, place it: its largest standard deviation is below 0.3 of the
+/// distance to the nearest pose that sees it (parallax), the fit is plausible (residuals up to five
+/// times their noise, which then counts as that much larger), and no other place fits as well (chi2
+/// within 9: ranges from along a line fit two). Then it comes in, there, with all of its
+/// measurements. One that is measured outright, by bearing and range, by a prior or from another
+/// landmark, comes in at once.
 ///
 /// **Start values.** A pose starts from the current estimate of the other end of its odometry edge:
 /// the one to the pose just before it, or to the latest earlier pose that is present, in either
-/// direction.
+/// direction. The first pose of a part starts at its vertex or at the origin; then the part is moved
+/// as a whole to where its measurements of the world and of what is there fit best.
 ///
 /// **Gauge.** The first pose of each connected component gets a prior at its vertex, or at the
 /// origin if it has none. FIX moves it: the component then begins with a fixed pose, and every
-/// fixed pose gets a prior at its vertex.
+/// fixed pose gets a prior at its vertex. Where absolute measurements hold a component there is
+/// none, and where they hold it in part the prior is for the other directions. A direction counts as
+/// held when it is known to 1000 m or 0.5 rad. Until what is held in the end is held, the steps of
+/// the component come as one: a robot that only knows its positions has no heading before it moves.
 ///
 /// ```
 /// use evergraph_formats::{Document, ReadOptions, Replay, ReplayOptions};
@@ -140,7 +170,14 @@ pub struct Replay {
     /// Where each variable stands among the nodes, by id and whether it is a pose.
     places: HashMap<(u64, bool), usize>,
     links: Vec<Link>,
-    edges: Vec<Measured>,
+    /// What each link is.
+    observations: Vec<Observation>,
+    /// The connected component of each node, named by one of its members.
+    component: Vec<usize>,
+    /// Landmarks whose place a prior gives, and nothing else does.
+    anchors: Vec<Option<Geometry>>,
+    /// Variables of no graph, to evaluate factors on.
+    scratch: Vec<Handle>,
     steps: Vec<Planned>,
     next: usize,
     handles: Vec<Option<Handle>>,
@@ -148,6 +185,7 @@ pub struct Replay {
     starts: Vec<Option<(usize, Geometry)>>,
     /// Nodes that have come in, in order.
     order: Vec<usize>,
+    held: BTreeMap<usize, Held>,
     priors: Vec<GaugePrior>,
     factors: Vec<(FactorId, usize)>,
 }
@@ -171,6 +209,7 @@ impl Replay {
             return Err(FormatError::NoPose { file: document.name().into() });
         }
         let count = nodes.len();
+        let mut scratch = Graph::new().change();
         let mut replay = Self {
             name: document.name().into(),
             options: *options,
@@ -179,68 +218,33 @@ impl Replay {
                 .enumerate()
                 .map(|(at, node)| (slot(node.id, node.kind), at))
                 .collect(),
+            scratch: nodes
+                .iter()
+                .map(|node| Geometry::origin(node.kind).add_to(&mut scratch))
+                .collect(),
             nodes,
             vertices: vec![None; count],
             fixed: vec![false; count],
             links: Vec::new(),
-            edges: Vec::new(),
+            observations: Vec::new(),
+            component: Vec::new(),
+            anchors: vec![None; count],
             steps: Vec::new(),
             next: 0,
             handles: vec![None; count],
             starts: vec![None; count],
             order: Vec::with_capacity(count),
+            held: BTreeMap::new(),
             priors: Vec::new(),
             factors: Vec::new(),
         };
         replay.gather(document)?;
-        let by = if document.dialect() == Dialect::G2o { By::Id } else { By::Line };
+        let has_times = replay.links.iter().any(|link| link.time.is_some());
+        let by = if document.dialect() == Dialect::G2o && !has_times { By::Id } else { By::Line };
+        replay.component = order::components(count, &replay.links);
         replay.steps = order::plan(&replay.nodes, &replay.links, &replay.fixed, by);
+        replay.settle_gauge()?;
         Ok(replay)
-    }
-
-    /// Takes the numbers out of the records.
-    fn gather(&mut self, document: &Document) -> Result<(), FormatError> {
-        let mut sensors = HashMap::new();
-        for record in document.records() {
-            if let Record::SensorOffset { id, at } = record {
-                sensors.extend(convert::pose3(at).map(|pose| (*id, pose)));
-            }
-        }
-        let missing = |place: &Place, id| FormatError::MissingVertex { place: place.clone(), id };
-        for Line { number: line, record, .. } in document.lines() {
-            let place = document.place(*line);
-            match record {
-                Record::SensorOffset { .. } | Record::GeodeticOrigin { .. } => {}
-                Record::Measurement(_) | Record::Linear(_) => {}
-                Record::Vertex { id, at } => {
-                    let node = self
-                        .places
-                        .get(&slot(*id, at.kind()))
-                        .ok_or_else(|| missing(&place, *id))?;
-                    self.vertices[*node] = Geometry::of(at);
-                }
-                Record::Fix { id } => {
-                    let node = self.places.get(&(*id, true)).ok_or_else(|| missing(&place, *id))?;
-                    self.fixed[*node] = true;
-                }
-                Record::Edge { from, to, measurement, weight, parameter } => {
-                    let kind = measurement.kind();
-                    let ends = [(*from, kind.observer()), (*to, kind)].map(|(id, kind)| {
-                        self.places.get(&slot(id, kind)).copied().ok_or_else(|| missing(&place, id))
-                    });
-                    let [from, to] = ends;
-                    self.links.push(Link { from: from?, to: to? });
-                    self.edges.push(Measured {
-                        line: *line,
-                        measurement: Geometry::of(measurement)
-                            .ok_or_else(|| bad(&place, "its quaternion names no rotation"))?,
-                        sensor: parameter.and_then(|id| sensors.get(&id).copied()),
-                        noise: measure::noise(document, weight, kind.dim(), &place)?,
-                    });
-                }
-            }
-        }
-        Ok(())
     }
 
     /// Fills an empty `change`, made from the graph as it is now, with the next step; `None` when
@@ -257,7 +261,7 @@ impl Replay {
     ) -> Option<Result<Step, FormatError>> {
         let step = self.steps.get_mut(self.next).map(std::mem::take)?;
         self.next += 1;
-        let result = self.emit(&step, change, Some(estimate));
+        let result = self.emit(step, change, Some(estimate));
         if result.is_err() {
             self.next = self.steps.len();
         }
@@ -274,7 +278,7 @@ impl Replay {
         let mut whole: Option<Step> = None;
         while let Some(step) = self.steps.get_mut(self.next).map(std::mem::take) {
             self.next += 1;
-            let step = self.emit(&step, change, None);
+            let step = self.emit(step, change, None);
             if step.is_err() {
                 self.next = self.steps.len();
             }
@@ -288,12 +292,13 @@ impl Replay {
     }
 
     fn place(&self, link: Option<usize>) -> Place {
-        let line = link.and_then(|link| self.edges.get(link)).map_or(0, |edge| edge.line);
+        let line = link.and_then(|link| self.observations.get(link)).map_or(0, |seen| seen.line);
         Place { file: Arc::clone(&self.name), line }
     }
 
-    /// How many steps there are, taken ones included: one for each pose, but that poses which only
-    /// landmarks tie to the rest come together.
+    /// How many steps there are, taken ones included: one for each pose, but that poses which no
+    /// edges between poses tie to the rest come together, and so do those until absolute measurements
+    /// hold them. Fewer once parts had to be joined.
     pub fn len(&self) -> usize {
         self.steps.len()
     }
@@ -333,10 +338,10 @@ impl Replay {
         &self.factors
     }
 
-    /// Landmarks with a vertex that no pose sees; they are left out.
+    /// Landmarks with a vertex that nothing measures; they are left out.
     pub fn unseen_landmarks(&self) -> usize {
         let mut seen = vec![false; self.nodes.len()];
-        self.links.iter().for_each(|link| seen[link.to] = true);
+        self.links.iter().flat_map(|link| &link.ends).for_each(|&end| seen[end] = true);
         self.nodes.iter().zip(seen).filter(|(node, seen)| !node.kind.is_pose() && !seen).count()
     }
 }

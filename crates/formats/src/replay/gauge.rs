@@ -1,0 +1,295 @@
+//! What holds a component in the world, and where in it a part starts.
+
+use std::collections::BTreeMap;
+
+use evergraph_factors::{Linear, Prior, RootShift};
+use evergraph_model::{Change, Noise};
+use nalgebra::{DMatrix, DVector};
+
+use super::emit::Known;
+use super::geometry::{Geometry, Handle};
+use super::observation::Observed;
+use super::order::Planned;
+use super::rigid::{Body, Tie, directions};
+use super::{GaugePrior, Initial, Replay};
+use crate::check::bad;
+use crate::error::FormatError;
+use crate::measurement::Quantity;
+
+/// The parts of a step that nothing places by odometry, by their first pose.
+#[derive(Default)]
+pub(super) struct Bodies {
+    /// First pose, and its directions as [`directions`] gives them, in its own tangent.
+    directions: Vec<(usize, DMatrix<f64>)>,
+    undetermined: bool,
+}
+
+impl Bodies {
+    /// Whether what is there already holds each of them, but for those with a gauge prior.
+    pub fn are_determined(&self) -> bool {
+        !self.undetermined
+    }
+
+    /// The `free` least held directions of a first pose; `None` if that is all of them.
+    pub fn free(&self, pose: usize, free: usize) -> Option<DMatrix<f64>> {
+        let (_, directions) = self.directions.iter().find(|(first, _)| *first == pose)?;
+        (free < directions.ncols()).then(|| directions.columns(0, free).into_owned())
+    }
+}
+
+impl Replay {
+    /// Decides which components absolute measurements hold, wholly or partly: the steps until they
+    /// do become one, and the gauge prior goes or is for the free directions only.
+    pub(super) fn settle_gauge(&mut self) -> Result<(), FormatError> {
+        let held = self.components_that_may_be_held();
+        if held.is_empty() {
+            return Ok(());
+        }
+        let mut steps = std::mem::take(&mut self.steps);
+        for step in &steps {
+            self.compose(&step.arrivals, &mut Known { before: 0, estimate: &mut None })?;
+        }
+        for component in held {
+            self.settle_component(component, &mut steps)?;
+        }
+        steps.retain(|step| !step.arrivals.is_empty());
+        self.steps = steps;
+        self.starts.fill(None);
+        Ok(())
+    }
+
+    /// Components with a measurement that is not purely relative, or one of a known landmark. Those
+    /// with a FIX are held by that.
+    fn components_that_may_be_held(&mut self) -> Vec<usize> {
+        let planned = self.steps.iter().flat_map(|step| &step.arrivals);
+        let mut is_planned = vec![false; self.nodes.len()];
+        planned.for_each(|arrival| is_planned[arrival.node] = true);
+        let mut held = vec![false; self.nodes.len()];
+        for (link, observation) in self.links.iter().zip(&self.observations) {
+            let first = link.ends[0];
+            held[self.component[first]] |= !observation.what.is_relative();
+            if let Observed::Quantity { quantity: Quantity::Prior, numbers, noise, .. } =
+                &observation.what
+                && !self.nodes[first].kind.is_pose()
+                && !is_planned[first]
+            {
+                let eigenvalues = noise.information().symmetric_eigenvalues();
+                if eigenvalues.min() > 1e-12 * eigenvalues.max() {
+                    let mut at = DVector::zeros(3);
+                    at.rows_mut(0, numbers.len().min(3)).copy_from_slice(numbers);
+                    let at = at.fixed_rows::<3>(0).into_owned();
+                    self.anchors[first] = Geometry::point(self.nodes[first].kind, &at);
+                }
+            }
+        }
+        for node in (0..self.nodes.len()).filter(|&node| self.fixed[node]) {
+            held[self.component[node]] = false;
+        }
+        (0..self.nodes.len()).filter(|&component| held[component]).collect()
+    }
+
+    fn settle_component(&self, component: usize, steps: &mut [Planned]) -> Result<(), FormatError> {
+        let of_component = |step: &Planned| {
+            step.arrivals.first().is_some_and(|first| self.component[first.node] == component)
+        };
+        let members: Vec<usize> = (0..steps.len()).filter(|&at| of_component(&steps[at])).collect();
+        let Some(first) = members.first().map(|&at| steps[at].arrivals[0].node) else {
+            return Ok(());
+        };
+        let Some((_, origin)) = self.starts[first] else { return Ok(()) };
+        let planar = !matches!(origin, Geometry::Pose3(_));
+        let mut information = DMatrix::zeros(origin.value().dim(), origin.value().dim());
+        let mut known = Vec::with_capacity(members.len());
+        for &at in &members {
+            let mut ties = Vec::new();
+            for &link in steps[at].links.iter().chain(&steps[at].waiting) {
+                ties.extend(self.tie(link, planar, |node| {
+                    Ok(match (self.starts[node], self.anchors[node]) {
+                        (Some((_, start)), _) => Some((start, true)),
+                        (None, anchor) => anchor.map(|anchor| (anchor, false)),
+                    })
+                })?);
+            }
+            if !ties.is_empty() {
+                let body = Body { ties: &ties, center: origin.position(), planar };
+                information += body.quadratic().information;
+            }
+            known.push(directions(&information).1);
+        }
+        let free = known.last().copied().unwrap_or(information.nrows());
+        if free == information.nrows() {
+            return Ok(());
+        }
+        let reached = known.iter().position(|&now| now == free).unwrap_or(0);
+        let mut whole = Planned::default();
+        for &at in &members[..=reached] {
+            whole.append(std::mem::take(&mut steps[at]));
+        }
+        whole.gauge.retain_mut(|(_, directions)| {
+            *directions = free;
+            free > 0
+        });
+        steps[members[reached]] = whole;
+        Ok(())
+    }
+
+    /// The factor of a link as a tie of a body, if all of its ends are known, some move, and it is
+    /// not between those only; `place` says where a variable is and whether it moves.
+    fn tie(
+        &self,
+        link: usize,
+        planar: bool,
+        mut place: impl FnMut(usize) -> Result<Option<(Geometry, bool)>, FormatError>,
+    ) -> Result<Option<Tie>, FormatError> {
+        let mut ends = smallvec::SmallVec::new();
+        for &node in &self.links[link].ends {
+            let Some(end) = place(node)? else { return Ok(None) };
+            if planar != matches!(end.0, Geometry::Pose2(_) | Geometry::Point2(_)) {
+                return Ok(None);
+            }
+            ends.push(end);
+        }
+        let moving = ends.iter().filter(|(_, moves)| *moves).count();
+        if moving == 0 || moving == ends.len() && self.observations[link].what.is_relative() {
+            return Ok(None);
+        }
+        Ok(Some(Tie { factor: self.scratch_factor(link)?, ends }))
+    }
+
+    /// Moves each part of a step that no odometry ties to what is there, as a whole, to where its
+    /// measurements of the world and of what is there fit best.
+    pub(super) fn place_bodies(
+        &mut self,
+        step: &Planned,
+        known: &mut Known<'_, '_>,
+    ) -> Result<Bodies, FormatError> {
+        let mut bodies = Bodies::default();
+        // By node, the body that it is part of.
+        let mut body_of: BTreeMap<usize, usize> = BTreeMap::new();
+        let mut firsts = Vec::new();
+        for arrival in &step.arrivals {
+            let Some((_, from)) = arrival.along else {
+                body_of.insert(arrival.node, firsts.len());
+                firsts.push(arrival.node);
+                continue;
+            };
+            if let Some(&body) = body_of.get(&from) {
+                body_of.insert(arrival.node, body);
+            }
+        }
+        for (body, first) in firsts.into_iter().enumerate() {
+            self.place_body((body, first), step, &body_of, known, &mut bodies)?;
+        }
+        Ok(bodies)
+    }
+
+    fn place_body(
+        &mut self,
+        (this, first): (usize, usize),
+        step: &Planned,
+        body_of: &BTreeMap<usize, usize>,
+        known: &mut Known<'_, '_>,
+        bodies: &mut Bodies,
+    ) -> Result<(), FormatError> {
+        let Some((_, origin)) = self.starts[first] else { return Ok(()) };
+        let planar = !matches!(origin, Geometry::Pose3(_));
+        let mut ties = Vec::new();
+        for &link in step.links.iter().chain(&step.waiting) {
+            ties.extend(self.tie(link, planar, |node| match body_of.get(&node) {
+                // Bodies after this one are not placed yet.
+                Some(&body) if body > this => Ok(None),
+                Some(&body) => Ok(self.starts[node].map(|(_, start)| (start, body == this))),
+                None if self.handles[node].is_some() => {
+                    Ok(Some((self.known(node, link, known)?, false)))
+                }
+                None => Ok(self.anchors[node].map(|anchor| (anchor, false))),
+            })?);
+        }
+        let members = || body_of.iter().filter(|(_, body)| **body == this).map(|(node, _)| *node);
+        let from_file = self.options.initial == Initial::FromFile
+            && members().any(|node| self.vertices[node].is_some());
+        let gauge = |node| step.gauge.iter().find(|(pose, _)| *pose == node);
+        let is_held = members()
+            .any(|node| gauge(node).is_some_and(|(_, free)| *free == origin.value().dim()));
+        let body = Body { ties: &ties, center: origin.position(), planar };
+        let motion = if from_file || is_held { None } else { body.fit() };
+        if let Some(motion) = motion {
+            for node in members() {
+                let Some((position, start)) = self.starts[node] else { continue };
+                self.starts[node] = start.moved(&motion).map(|start| (position, start));
+            }
+            for (at, moves) in ties.iter_mut().flat_map(|tie| &mut tie.ends) {
+                if *moves && let Some(moved) = at.moved(&motion) {
+                    *at = moved;
+                }
+            }
+        }
+        let Some((_, origin)) = self.starts[first] else { return Ok(()) };
+        let body = Body { ties: &ties, center: origin.position(), planar };
+        let (world, free) = directions(&body.quadratic().information);
+        bodies.undetermined |= free > 0 && gauge(first).is_none();
+        bodies.directions.push((first, origin.by_world_motion(&origin.position()) * world));
+        Ok(())
+    }
+
+    /// Appends the next parts of the same component to a step, up to `count`; whether there was any.
+    pub(super) fn append_parts(&mut self, step: &mut Planned, count: usize) -> bool {
+        let component = step.arrivals.first().map(|first| self.component[first.node]);
+        let is_part = |step: &Planned| {
+            let first = step.arrivals.first().map(|first| self.component[first.node]);
+            step.is_part && first == component
+        };
+        let next: Vec<usize> = (self.next..self.steps.len())
+            .filter(|&at| is_part(&self.steps[at]))
+            .take(count)
+            .collect();
+        for &at in &next {
+            step.append(std::mem::take(&mut self.steps[at]));
+        }
+        let next_step = self.next;
+        let mut at = 0;
+        self.steps.retain(|step| {
+            at += 1;
+            at <= next_step || !step.arrivals.is_empty()
+        });
+        !next.is_empty()
+    }
+
+    /// Adds a prior on a pose, or on the `free` directions of its tangent.
+    pub(super) fn add_gauge_prior(
+        &self,
+        pose: usize,
+        free: Option<DMatrix<f64>>,
+        change: &mut Change,
+    ) -> Result<Option<GaugePrior>, FormatError> {
+        let (Some(sigma), Some(handle)) = (self.options.prior, self.handles[pose]) else {
+            return Ok(None);
+        };
+        let place = self.place(None);
+        let (id, kind) = (self.nodes[pose].id, self.nodes[pose].kind);
+        let start = self.starts[pose].map_or_else(|| Geometry::origin(kind), |(_, start)| start);
+        let (factor, directions) = if let Some(free) = free {
+            let basis = free.qr().q();
+            let (rows, zero) = (basis.transpose() / sigma, DVector::zeros(basis.nrows()));
+            let factor = Linear::new(&[(handle.id(), start.value())], RootShift::None, rows, zero);
+            let factor = factor.map_err(|error| bad(&place, error))?;
+            (change.add_factor(factor), basis.ncols())
+        } else {
+            // Without a vertex, a fixed pose is held where it starts.
+            let at = self.vertices[pose].unwrap_or(start);
+            let noise = Noise::isotropic(kind.dim(), sigma).map_err(|e| bad(&place, e))?;
+            let factor = match (handle, at) {
+                (Handle::Pose2(key), Geometry::Pose2(at)) => {
+                    Prior::new(key, at, noise).map(|prior| change.add_factor(prior))
+                }
+                (Handle::Pose3(key), Geometry::Pose3(at)) => {
+                    Prior::new(key, at, noise).map(|prior| change.add_factor(prior))
+                }
+                _ => return Err(bad(&place, "a gauge prior is for poses")),
+            };
+            (factor.map_err(|error| bad(&place, error))?, kind.dim())
+        };
+        let (variable, fixed) = (handle.id(), self.fixed[pose]);
+        Ok(Some(GaugePrior { id, variable, factor, sigma, directions, fixed }))
+    }
+}

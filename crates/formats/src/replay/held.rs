@@ -1,0 +1,155 @@
+//! Landmarks that no sighting brings in, held back until their measurements place them.
+
+use std::collections::BTreeSet;
+
+use evergraph_model::Change;
+use smallvec::SmallVec;
+
+use super::emit::Known;
+use super::geometry::{Geometry, Handle};
+use super::place_landmark::{Hint, Sight, place};
+use super::{Initial, Replay};
+use crate::error::FormatError;
+
+/// A landmark that is not in yet.
+#[derive(Clone, Debug)]
+pub(super) struct Held {
+    /// Its links of which all other ends but landmarks have come in.
+    links: Vec<usize>,
+    /// With how many usable links to try next.
+    next_try: usize,
+}
+
+/// What came in with waiting links.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Freed {
+    pub variables: usize,
+    pub factors: usize,
+    /// Whether what was connected before is tied together.
+    pub closes: bool,
+}
+
+impl Replay {
+    /// Takes the waiting links of a step, and brings in the landmarks that can be placed now; with
+    /// `all` every landmark is tried.
+    pub(super) fn free_landmarks(
+        &mut self,
+        waiting: &[usize],
+        all: bool,
+        known: &mut Known<'_, '_>,
+        change: &mut Change,
+    ) -> Result<Freed, FormatError> {
+        let mut freed = Freed::default();
+        let mut touched = BTreeSet::new();
+        for &link in waiting {
+            let absent = self.absent(link);
+            if absent.is_empty() {
+                self.add_factor(link, change)?;
+                freed.factors += 1;
+                freed.closes |= self.links[link].ends.len() > 1;
+            }
+            for landmark in absent {
+                let held = self.held.entry(landmark);
+                held.or_insert(Held { links: Vec::new(), next_try: 1 }).links.push(link);
+                touched.insert(landmark);
+            }
+        }
+        if all {
+            touched.extend(self.held.keys());
+        }
+        while let Some(landmark) = touched.pop_first() {
+            let Some(start) = self.try_to_place(landmark, all, known)? else { continue };
+            self.bring_in(landmark, start, change);
+            freed.variables += 1;
+            let links = self.held.remove(&landmark).map_or(Vec::new(), |held| held.links);
+            let mut usable = 0;
+            for link in links {
+                let absent = self.absent(link);
+                if absent.is_empty() {
+                    self.add_factor(link, change)?;
+                    usable += 1;
+                }
+                touched.extend(absent);
+            }
+            freed.factors += usable;
+            freed.closes |= usable > 1;
+        }
+        Ok(freed)
+    }
+
+    /// Where a landmark is, if that can be told now. Trying costs as much as there are links, so it
+    /// is done at each new one for the first twenty, then as their number grows by a quarter.
+    fn try_to_place(
+        &mut self,
+        landmark: usize,
+        again: bool,
+        known: &mut Known<'_, '_>,
+    ) -> Result<Option<Geometry>, FormatError> {
+        let Some(held) = self.held.get(&landmark) else { return Ok(None) };
+        let usable: Vec<usize> =
+            held.links.iter().copied().filter(|&link| self.absent(link).len() == 1).collect();
+        let seen = usable.iter().any(|&link| self.links[link].ends.len() > 1);
+        if !seen || usable.len() < held.next_try && !again {
+            return Ok(None);
+        }
+        let mut sights = Vec::with_capacity(usable.len());
+        for &link in &usable {
+            sights.push(self.sight(link, landmark, known)?);
+        }
+        let vertex = self.vertices[landmark].filter(|_| self.options.initial == Initial::FromFile);
+        let start = place(self.nodes[landmark].kind, &sights, vertex.as_ref());
+        if let Some(held) = self.held.get_mut(&landmark) {
+            let count = usable.len();
+            held.next_try = count + 1 + if count < 20 { 0 } else { count / 4 };
+        }
+        Ok(start)
+    }
+
+    fn sight(
+        &self,
+        link: usize,
+        landmark: usize,
+        known: &mut Known<'_, '_>,
+    ) -> Result<Sight, FormatError> {
+        let nodes = &self.links[link].ends;
+        let mut ends: SmallVec<[Option<Geometry>; 2]> = SmallVec::new();
+        for &node in nodes {
+            ends.push(if node == landmark { None } else { Some(self.known(node, link, known)?) });
+        }
+        let position = nodes.iter().position(|&node| node == landmark).unwrap_or(0);
+        let anything = Geometry::origin(self.nodes[landmark].kind);
+        Ok(Sight {
+            factor: self.scratch_factor(link)?,
+            values: ends.iter().map(|end| end.unwrap_or(anything).value()).collect(),
+            landmark: position,
+            observers: ends.iter().flatten().map(Geometry::position).collect(),
+            hint: Hint::of(&self.observations[link], &ends, position),
+        })
+    }
+
+    /// The ends of a link that have not come in.
+    fn absent(&self, link: usize) -> SmallVec<[usize; 2]> {
+        let ends = self.links[link].ends.iter().copied();
+        ends.filter(|&end| self.handles[end].is_none()).collect()
+    }
+
+    /// How many landmarks have been seen, but not so that they can be placed: by one bearing, or by
+    /// ranges from along a line. They and their measurements are left out so far.
+    pub fn held_back(&self) -> usize {
+        self.held.len()
+    }
+
+    /// The ids of the landmarks that are [`held_back`](Self::held_back), ascending.
+    pub fn held_back_ids(&self) -> impl Iterator<Item = u64> {
+        self.held.keys().map(|&node| self.nodes[node].id)
+    }
+
+    /// Adds a variable at its start.
+    pub(super) fn bring_in(&mut self, node: usize, start: Geometry, change: &mut Change) -> Handle {
+        let handle = start.add_to(change);
+        self.handles[node] = Some(handle);
+        self.starts[node] = Some((self.order.len(), start));
+        self.order.push(node);
+        handle
+    }
+}
