@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use evergraph::formats::Written;
+use evergraph::formats::{WriteOptions, Written};
 use serde_json::json;
 
 use crate::error::Error;
@@ -18,17 +18,20 @@ Examples:
   evergraph convert killian.g2o killian.graph
   evergraph convert victoria_park_gtsam.txt park.g2o --isam-matrix covariance
 
-The format that is written goes by the extension: .g2o, .graph and .toro (TORO), .txt (iSAM). The
-same format as read gives the same numbers, bit for bit.";
+The format that is written goes by the extension: .g2o, .graph and .toro (TORO), .txt (iSAM),
+.pyfg (PyFactorGraph). The same format as read gives the same numbers, bit for bit.";
 
 /// Write a file in another format.
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Arguments {
-    /// A g2o, TORO or iSAM file
+    /// A g2o, TORO, iSAM or PyFactorGraph file
     input: PathBuf,
     /// What to write; the format goes by the extension
     output: PathBuf,
+    /// Leave out what other readers of the format do not know: lines of our own, robust kernels
+    #[arg(long, help_heading = "Output")]
+    plain: bool,
     #[command(flatten)]
     reading: Reading,
     #[command(flatten)]
@@ -39,7 +42,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let common = &arguments.common;
     let output = Output::new(common);
     let document = arguments.reading.read(&arguments.input, common)?;
-    let written = files::write_document(&arguments.output, &document)?;
+    let written = files::write_document(
+        &arguments.output,
+        &document,
+        WriteOptions { plain: arguments.plain },
+    )?;
     tell(&written, &arguments.output, output);
     let report = json!({
         "schema": SCHEMA,
@@ -51,6 +58,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         "dropped_vertices": written.dropped_vertices,
         "added_vertices": written.added_vertices,
         "renumbered_landmarks": written.renumbered_landmarks,
+        "named": written.named,
+        "added_times": written.added_times,
+        "dropped_times": written.dropped_times,
+        "left_out": written.left_out,
         "skipped_lines": document.summary().skipped,
     });
     report::save(common.report.as_deref(), &report)?;
@@ -81,5 +92,22 @@ pub(crate) fn tell(written: &Written, path: &Path, output: Output) {
         output.warn(&format!(
             "{path}: {count} landmarks whose ids are poses', too, got ids after all others"
         ));
+    }
+    if written.named > 0 {
+        let count = written.named;
+        output.warn(&format!(
+            "{path}: {count} ids became names, as A5 for pose 5, L5 for landmark 5"
+        ));
+    }
+    if written.added_times > 0 {
+        let count = written.added_times;
+        output.warn(&format!("{path}: {count} lines got a time, the rank of their pose"));
+    }
+    if written.dropped_times > 0 {
+        let count = written.dropped_times;
+        output.warn(&format!("{path}: the format has no times; {count} were left out"));
+    }
+    for (tag, count) in &written.left_out {
+        output.warn(&format!("{path}: {count} {tag} left out, which --plain does without"));
     }
 }

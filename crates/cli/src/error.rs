@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use clap::CommandFactory;
 use clap::error::ErrorKind;
 use evergraph::evaluate::EvaluateError;
-use evergraph::formats::{Document, FormatError};
+use evergraph::formats::{Document, FormatError, TrajectoryError};
 use evergraph::simulate::WorldError;
 use evergraph::solver::Singular;
 use evergraph::{Component, Overview, ReplayerError, SmootherError};
@@ -29,6 +29,9 @@ pub(crate) enum Error {
     /// The file is bad.
     #[error(transparent)]
     Format(#[from] FormatError),
+    /// A trajectory cannot be written, or its times are bad.
+    #[error(transparent)]
+    Trajectory(#[from] TrajectoryError),
     /// Something cannot be evaluated.
     #[error(transparent)]
     Evaluate(#[from] EvaluateError),

@@ -4,7 +4,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use evergraph::formats::{Dialect, Document, FormatError, Written};
+use evergraph::formats::{Dialect, Document, FormatError, TrajectoryError, WriteOptions, Written};
 
 use crate::error::Error;
 
@@ -58,6 +58,20 @@ impl NewFile {
         self.writer.write_all(bytes).map_err(|source| self.failed(source))
     }
 
+    /// Has it filled by what writes a format; an error of the disk names this file.
+    pub(crate) fn fill<T, E: Into<Error>>(
+        &mut self,
+        write: impl FnOnce(&mut BufWriter<File>) -> Result<T, E>,
+    ) -> Result<T, Error> {
+        write(&mut self.writer).map_err(|error| match error.into() {
+            Error::Format(FormatError::Write { source, .. })
+            | Error::Trajectory(TrajectoryError::Format(FormatError::Write { source, .. })) => {
+                self.failed(source)
+            }
+            other => other,
+        })
+    }
+
     /// Puts the file in its place.
     pub(crate) fn finish(mut self) -> Result<(), Error> {
         self.writer.flush().map_err(|source| self.failed(source))?;
@@ -99,22 +113,27 @@ pub(crate) fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), Error> {
 }
 
 /// Writes a document in the format of the path's extension.
-pub(crate) fn write_document(path: &Path, document: &Document) -> Result<Written, Error> {
+pub(crate) fn write_document(
+    path: &Path,
+    document: &Document,
+    options: WriteOptions,
+) -> Result<Written, Error> {
     let dialect = dialect_of(path)?;
     // What the dialect cannot hold is found before a file is made.
-    check_fits(document, dialect)?;
+    check_fits(document, dialect, options)?;
     let mut file = NewFile::create(path)?;
-    let written = document.write(&mut file.writer, dialect).map_err(|error| match error {
-        FormatError::Write { source, .. } => Error::Write { path: path.into(), source },
-        other => other.into(),
-    })?;
+    let written = file.fill(|out| document.write_with(out, dialect, &options))?;
     file.finish()?;
     Ok(written)
 }
 
 /// Whether the document can be written to the path at all: asked before long work.
-pub(crate) fn check_output(path: &Path, document: &Document) -> Result<(), Error> {
-    check_fits(document, dialect_of(path)?)?;
+pub(crate) fn check_output(
+    path: &Path,
+    document: &Document,
+    options: WriteOptions,
+) -> Result<(), Error> {
+    check_fits(document, dialect_of(path)?, options)?;
     check_writable(path)
 }
 
@@ -130,8 +149,8 @@ pub(crate) fn check_writable(path: &Path) -> Result<(), Error> {
     NewFile::create(path).map(drop)
 }
 
-fn check_fits(document: &Document, dialect: Dialect) -> Result<(), Error> {
-    document.write(&mut io::sink(), dialect)?;
+fn check_fits(document: &Document, dialect: Dialect, options: WriteOptions) -> Result<(), Error> {
+    document.write_with(&mut io::sink(), dialect, &options)?;
     Ok(())
 }
 

@@ -37,7 +37,7 @@ enum Convention {
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Arguments {
-    /// A g2o, TORO or iSAM file
+    /// A g2o, TORO, iSAM or PyFactorGraph file
     file: PathBuf,
     /// How errors are measured
     #[arg(long, value_enum, default_value = "ours")]

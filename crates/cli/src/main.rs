@@ -1,15 +1,18 @@
-//! The `evergraph` program: replay, optimize, inspect, convert and simulate pose graphs.
+//! The `evergraph` program: replay, optimize, evaluate, inspect, convert and simulate pose graphs.
 #![forbid(unsafe_code)]
 
+mod audit;
 mod completions;
 mod convert;
 mod error;
+mod evaluate;
 mod files;
 mod info;
 mod log;
 mod optimize;
 mod options;
 mod output;
+mod outputs;
 mod plot;
 mod progress;
 mod replay;
@@ -43,6 +46,10 @@ enum Command {
     Replay(replay::Arguments),
     /// Solve a whole file at once
     Optimize(optimize::Arguments),
+    /// Measure a map by the truth
+    Evaluate(evaluate::Arguments),
+    /// Replay a file and compare with the batch optimum along the way
+    Audit(audit::Arguments),
     /// Say what a file holds and what it costs as it stands
     Info(info::Arguments),
     /// Write a file in another format
@@ -59,6 +66,8 @@ impl Command {
         match self {
             Self::Replay(arguments) => Some(&arguments.common),
             Self::Optimize(arguments) => Some(&arguments.common),
+            Self::Evaluate(arguments) => Some(&arguments.common),
+            Self::Audit(arguments) => Some(&arguments.common),
             Self::Info(arguments) => Some(&arguments.common),
             Self::Convert(arguments) => Some(&arguments.common),
             Self::Simulate(arguments) => Some(&arguments.common),
@@ -75,6 +84,8 @@ fn main() -> ExitCode {
     let result = match command {
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Optimize(arguments) => optimize::run(&arguments),
+        Command::Evaluate(arguments) => evaluate::run(&arguments),
+        Command::Audit(arguments) => audit::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),

@@ -9,10 +9,9 @@ use evergraph::solver::{BatchSettings, Method, Relinearization, Status as BatchS
 use serde_json::json;
 
 use crate::error::Error;
-use crate::files;
 use crate::options::{Common, Reading, Solving, StartFrom};
 use crate::output::Output;
-use crate::plot::PlotPath;
+use crate::outputs::Outputs;
 use crate::replay::unsolvable;
 use crate::report::{self, Report, Run, Status, Times};
 use crate::table::number;
@@ -64,7 +63,7 @@ impl Init {
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Arguments {
-    /// A g2o, TORO or iSAM file
+    /// A g2o, TORO, iSAM or PyFactorGraph file
     file: PathBuf,
     /// How steps are chosen
     #[arg(long, value_enum, default_value = "lm", help_heading = "Solving")]
@@ -77,12 +76,8 @@ pub(crate) struct Arguments {
     max_iterations: u32,
     #[command(flatten)]
     solving: Solving,
-    /// Write the graph with the estimates as its vertices; .g2o, .graph, .toro or .txt (iSAM)
-    #[arg(long, short, value_name = "FILE", help_heading = "Output")]
-    output: Option<PathBuf>,
-    /// Draw the map; .svg or .png
-    #[arg(long, value_name = "FILE", value_parser = PlotPath::parse, help_heading = "Output")]
-    plot: Option<PlotPath>,
+    #[command(flatten)]
+    outputs: Outputs,
     #[command(flatten)]
     reading: Reading,
     #[command(flatten)]
@@ -106,13 +101,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     };
 
     let document = arguments.reading.read(&arguments.file, common)?;
-    if let Some(path) = &arguments.output {
-        files::check_output(path, &document)?;
-    }
-    let plot = arguments.plot.as_ref().map(PlotPath::path);
-    for path in common.report.as_deref().into_iter().chain(plot) {
-        files::check_writable(path)?;
-    }
+    let outputs = arguments.outputs.prepare(&document, common.report.as_deref())?;
     let begins = Instant::now();
     let (document, from) = match arguments.init {
         Init::File => (document, StartFrom::File),
@@ -177,14 +166,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     report.add("iterations", batch.iterations);
     report.add("initial_error", json!(initial_error));
     report.add("gradient_norm", batch.gradient_norm);
-    report.check(&replayer)?;
-    if let Some(path) = &arguments.output {
-        let written = files::write_document(path, &replayer.solution(&document)?)?;
-        crate::convert::tell(&written, path, output);
-    }
-    if let Some(path) = &arguments.plot {
-        report.plot(&replayer, None).save(path)?;
-    }
+    outputs.write(&replayer, &document, &report, None, output)?;
     report.save(common.report.as_deref())?;
     let mut rows = report.table(&format!("{words} after {} iterations", batch.iterations));
     rows.add("initial error", initial_error.map_or_else(String::new, number));

@@ -48,7 +48,7 @@ impl Common {
 #[command(next_help_heading = "Reading")]
 pub(crate) struct Reading {
     /// The format; told by content if not given
-    #[arg(long, value_name = "g2o|toro|isam")]
+    #[arg(long, value_name = "g2o|toro|isam|pyfg")]
     pub format: Option<Dialect>,
     /// What the matrices of an iSAM file are: nothing in the file says so
     #[arg(long, value_name = "sqrt|information|covariance", default_value = "sqrt", value_parser = weight_kind)]
@@ -71,6 +71,9 @@ impl Reading {
     /// Reads a file and warns about what is odd in it.
     pub(crate) fn read(&self, path: &Path, common: &Common) -> Result<Document, Error> {
         let document = Document::read(path, &self.options(common))?;
+        let (name, summary) = (document.name(), document.summary());
+        let (lines, poses, landmarks) = (summary.lines, summary.poses, summary.landmarks);
+        info!(lines, poses, landmarks, "read {name} ({})", document.dialect());
         tell(&document, Output::new(common));
         Ok(document)
     }
@@ -95,10 +98,20 @@ impl Reading {
             G2oRotation::Quaternion => "quaternion",
         };
         serde_json::json!({
-            "format": self.format.map(|it| it.to_string().to_lowercase()),
+            "format": self.format.map(dialect),
             "isam_matrix": isam_matrix,
             "g2o_rotation": g2o_rotation,
         })
+    }
+}
+
+/// A dialect as the option spells it.
+fn dialect(dialect: Dialect) -> &'static str {
+    match dialect {
+        Dialect::G2o => "g2o",
+        Dialect::Toro => "toro",
+        Dialect::Isam => "isam",
+        Dialect::Pyfg => "pyfg",
     }
 }
 
@@ -297,7 +310,8 @@ fn threshold(text: &str) -> Result<f64, String> {
 const BATCH_EVERY: NonZeroU32 = NonZeroU32::new(100).expect("100 is not 0");
 
 impl Policy {
-    pub(crate) fn relinearization(&self) -> Result<Relinearization, Error> {
+    /// The policy; `command` is asked for it, for messages.
+    pub(crate) fn relinearization(&self, command: &'static str) -> Result<Relinearization, Error> {
         let mut policy = match self.relinearize {
             PolicyName::Both => Relinearization::BOTH,
             PolicyName::Every => Relinearization::every(BATCH_EVERY),
@@ -322,7 +336,7 @@ impl Policy {
             None if tuned => {
                 let message = "--relinearize-threshold and --fluid-every tune the policies `both` and `fluid`; \
                                the policy asked for has no such check";
-                return Err(Error::Usage { command: "replay", message: message.into() });
+                return Err(Error::Usage { command, message: message.into() });
             }
             None => {}
         }

@@ -11,10 +11,9 @@ use serde_json::json;
 use tracing::info;
 
 use crate::error::Error;
-use crate::files;
 use crate::options::{Common, Policy, Reading, Solving, StartFrom};
 use crate::output::Output;
-use crate::plot::PlotPath;
+use crate::outputs::Outputs;
 use crate::progress::Progress;
 use crate::report::{self, Report, Run, Status, Times};
 use crate::steps::{StepLog, StepName, Totals};
@@ -47,7 +46,7 @@ const SETTLED: f64 = 1e-3;
 #[derive(Args, Debug)]
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Arguments {
-    /// A g2o, TORO or iSAM file; without it, a sample that is compiled into the program
+    /// A g2o, TORO, iSAM or PyFactorGraph file; without it, a sample that is compiled into the program
     file: Option<PathBuf>,
     #[command(flatten)]
     policy: Policy,
@@ -65,12 +64,8 @@ pub(crate) struct Arguments {
     /// Stop after N steps
     #[arg(long, value_name = "N")]
     max_steps: Option<usize>,
-    /// Write the graph with the estimates as its vertices; .g2o, .graph, .toro or .txt (iSAM)
-    #[arg(long, short, value_name = "FILE", help_heading = "Output")]
-    output: Option<PathBuf>,
-    /// Draw the map, and the time of each step; .svg or .png
-    #[arg(long, value_name = "FILE", value_parser = PlotPath::parse, help_heading = "Output")]
-    plot: Option<PlotPath>,
+    #[command(flatten)]
+    outputs: Outputs,
     /// Write a line for each step
     #[arg(long, value_name = "FILE.csv", help_heading = "Output")]
     steps: Option<PathBuf>,
@@ -106,16 +101,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let common = &arguments.common;
     let output = Output::new(common);
     let settings =
-        arguments.solving.settings(arguments.policy.relinearization()?, common.threads());
+        arguments.solving.settings(arguments.policy.relinearization("replay")?, common.threads());
 
     let (document, dataset) = read(arguments)?;
-    if let Some(path) = &arguments.output {
-        files::check_output(path, &document)?;
-    }
-    let plot = arguments.plot.as_ref().map(PlotPath::path);
-    for path in common.report.as_deref().into_iter().chain(plot) {
-        files::check_writable(path)?;
-    }
+    let outputs = arguments.outputs.prepare(&document, common.report.as_deref())?;
     let options = arguments.solving.replay_options(arguments.initial);
     let mut replayer =
         Replayer::new(&document, &options, settings)?.with_full_estimate(arguments.full_estimate);
@@ -166,15 +155,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         report.add("message", error.to_string());
     }
     if outcome.is_ok() {
-        report.check(&replayer)?;
-        // The map comes first: it is what cost the work.
-        if let Some(path) = &arguments.output {
-            let written = files::write_document(path, &replayer.solution(&document)?)?;
-            crate::convert::tell(&written, path, output);
-        }
-        if let Some(path) = &arguments.plot {
-            report.plot(&replayer, Some(driven.times())).save(path)?;
-        }
+        outputs.write(&replayer, &document, &report, Some(driven.times()), output)?;
     }
     report.save(common.report.as_deref())?;
     outcome?;

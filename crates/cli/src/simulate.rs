@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use evergraph::formats::WriteOptions;
 use evergraph::simulate::{Closures, Grid, Landmarks, Surface, World};
 use serde_json::json;
 
@@ -100,10 +101,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         Shape::Sphere => surface(Surface::sphere(arguments.poses, arguments.seed), arguments)?,
         Shape::Torus => surface(Surface::torus(arguments.poses, arguments.seed), arguments)?,
     };
-    let written = files::write_document(&arguments.output, &world.document)?;
+    let written =
+        files::write_document(&arguments.output, &world.document, WriteOptions::default())?;
     crate::convert::tell(&written, &arguments.output, output);
     if let Some(path) = &arguments.truth {
-        let written = files::write_document(path, &world.truth)?;
+        let written = files::write_document(path, &world.truth, WriteOptions::default())?;
         crate::convert::tell(&written, path, output);
     }
     let summary = world.document.summary();

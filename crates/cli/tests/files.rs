@@ -156,7 +156,18 @@ fn usage_errors_end_with_2() {
         ("replay two.g2o --relinearize never --fluid-every 3", "evergraph replay"),
         ("replay two.g2o --kernel cauchy:1", "cauchy"),
         ("replay two.g2o --kernel huber:-1", "huber"),
+        ("replay two.g2o --robust=cauchy", "cauchy"),
+        ("replay two.g2o --robust=huber:x", "`x` is no number"),
+        ("replay two.g2o --robust=huber:0", "huber"),
+        // A value goes after `=` only: this one would be the file.
+        ("replay --robust huber two.g2o", "two.g2o"),
+        ("replay two.g2o --robust --kernel huber:1", "--kernel"),
+        ("replay two.g2o --plain", "--output"),
+        ("completions", "SHELL"),
+        ("completions cmd", "cmd"),
         ("replay two.g2o --prior -1", "standard deviation"),
+        ("replay two.g2o --prior 1e-160", "between 1e-150 and 1e150"),
+        ("replay two.g2o --prior 1e160", "between 1e-150 and 1e150"),
         ("replay two.g2o --threads 0", "threads"),
         ("replay two.g2o --step-errors", "--steps"),
         ("replay two.g2o --quiet --verbose", "--quiet"),
@@ -176,10 +187,76 @@ fn every_subcommand_has_help_with_examples() {
     let folder = Folder::new();
     let ran = folder.run("--help").done();
     assert!(ran.out.contains("Exit codes"));
-    for command in ["replay", "optimize", "info", "convert", "simulate"] {
+    for command in
+        ["replay", "optimize", "evaluate", "audit", "info", "convert", "simulate", "completions"]
+    {
         let ran = folder.run(&format!("{command} --help")).done();
         assert!(ran.out.contains(&format!("Examples:\n  evergraph {command}")), "{}", ran.out);
     }
+}
+
+#[test]
+fn shells_get_completions_of_every_command() {
+    let folder = Folder::new();
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        let ran = folder.run(&format!("completions {shell}")).done();
+        for word in ["evergraph", "replay", "evaluate", "relinearize-every", "trajectory"] {
+            assert!(ran.out.contains(word), "{shell}: {word}");
+        }
+    }
+}
+
+#[test]
+fn plain_files_hold_what_other_readers_know() {
+    let folder = Folder::new();
+    let own = "ROBUST huber 1.0 EDGE_SE2 0 1 1.1 0 1.5 1 0 0 1 0 1\n";
+    folder.write("robust.g2o", &format!("{SQUARE}{own}"));
+    folder.run("convert robust.g2o same.g2o").done();
+    assert!(folder.read("same.g2o").contains("ROBUST"));
+    let ran = folder.run("convert robust.g2o plain.g2o --plain --report out.json").done();
+    assert!(ran.err.contains("ROBUST") && ran.err.contains("--plain"), "{}", ran.err);
+    assert_eq!(folder.json("out.json")["left_out"]["ROBUST"], 1);
+    folder.run("optimize robust.g2o --output solved.g2o --plain").done();
+    for name in ["plain.g2o", "solved.g2o"] {
+        let text = folder.read(name);
+        assert!(!text.contains("ROBUST") && text.matches("EDGE").count() == 5, "{name}: {text}");
+    }
+}
+
+#[test]
+fn py_factor_graph_is_read_and_written() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    let ran = folder.run("convert square.g2o square.pyfg").done();
+    assert!(ran.err.contains("became names"), "{}", ran.err);
+    assert!(folder.read("square.pyfg").contains(" A3 "));
+    folder.run("optimize square.pyfg --format pyfg --output map.pyfg --report a.json").done();
+    folder.run("optimize square.g2o --report b.json").done();
+    let (a, b) = (folder.json("a.json"), folder.json("b.json"));
+    assert!((number(&a, "error") - number(&b, "error")).abs() < 1e-9);
+    assert_eq!(a["settings"]["reading"]["format"], "pyfg");
+    assert!(folder.read("map.pyfg").contains("VERTEX_SE2"));
+}
+
+#[test]
+fn verbose_says_what_happens() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    let ran = folder.run("optimize square.g2o --verbose").done();
+    for part in ["read square.g2o (g2o)", "step taken", "error=", "batch done"] {
+        assert!(ran.err.contains(part), "{part} is not in {}", ran.err);
+    }
+    assert!(!ran.out.contains("step taken") && !ran.err.contains('\x1b'));
+    let steps = |line: &str| folder.run(line).done().err.matches("applied").count();
+    assert_eq!(steps("replay square.g2o -vvv"), 4);
+    assert_eq!(steps("replay square.g2o -vv"), 0);
+    let with = |directives: &str, line: &str| {
+        let ran = folder.command(line).env("RUST_LOG", directives).output().unwrap();
+        String::from_utf8(ran.stderr).unwrap()
+    };
+    assert!(with("evergraph_solver=trace", "replay square.g2o").contains("applied"));
+    assert!(!with("off", "optimize square.g2o -v").contains("step taken"));
+    let odd = with("evergraph=loud", "optimize square.g2o -v");
+    assert!(odd.contains("RUST_LOG") && odd.contains("step taken"), "{odd}");
+    assert_eq!(with("evergraph=trace", "replay square.g2o --quiet"), "");
 }
 
 /// As `evergraph info FILE | true` does.

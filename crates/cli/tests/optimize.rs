@@ -25,7 +25,14 @@ fn samples_reach_their_optima() {
 fn methods_and_starts_agree() {
     let folder = Folder::with("square.g2o", SQUARE);
     let mut errors = Vec::new();
-    for options in ["", "--method gn", "--method dogleg", "--init odometry", "--elimination qr"] {
+    for options in [
+        "",
+        "--method gn",
+        "--method dogleg",
+        "--init odometry",
+        "--init chordal",
+        "--elimination qr",
+    ] {
         folder.run(&format!("optimize square.g2o {options} --report out.json")).done();
         let report = folder.json("out.json");
         assert_eq!(report["command"], "optimize");
@@ -35,6 +42,30 @@ fn methods_and_starts_agree() {
         errors.push(number(&report, "error"));
     }
     assert!(errors.iter().all(|error| (error - errors[0]).abs() < 1e-9), "{errors:?}");
+}
+
+/// From a start far off: the report says where it came from, and the file's fixed pose stays.
+#[test]
+fn a_chordal_start_needs_no_vertices() {
+    let folder = Folder::new();
+    folder
+        .run("simulate sphere --poses 400 --odometry-sigmas 0.3,0.3,0.3,0.1,0.1,0.1 -o w.g2o")
+        .done();
+    let errors = ["file", "chordal"].map(|init| {
+        folder.run(&format!("optimize w.g2o --init {init} --report out.json")).done();
+        let report = folder.json("out.json");
+        assert_eq!(report["settings"]["initial"], init);
+        assert_eq!(report["status"], "converged");
+        (number(&report, "initial_error"), number(&report, "error"))
+    });
+    assert!((errors[0].1 / errors[1].1 - 1.0).abs() < 1e-9, "{errors:?}");
+    assert!(errors[1].0 < 0.01 * errors[0].0 && errors[1].0 < 3.0 * errors[1].1, "{errors:?}");
+    // An iSAM file has no vertices at all.
+    folder.run("convert w.g2o w.txt --quiet").done();
+    folder.run("optimize w.txt --init chordal --output map.g2o --report out.json").done();
+    assert!((number(&folder.json("out.json"), "error") / errors[1].1 - 1.0).abs() < 1e-6);
+    let text = folder.read("map.g2o");
+    assert_eq!(text.lines().filter(|line| line.starts_with("VERTEX_SE3:QUAT ")).count(), 400);
 }
 
 #[test]

@@ -177,11 +177,16 @@ fn a_kernel_lowers_the_error_and_leaves_chi2_in_its_convention() {
     let folder = Folder::new();
     folder.write("bent.g2o", &SQUARE.replace("3 0 1.05", "3 0 4.05"));
     folder.run("replay bent.g2o --final-batch --report plain.json").done();
-    for kernel in ["huber:1.0", "pseudo-huber:1.0"] {
-        folder
-            .run(&format!("replay bent.g2o --final-batch --kernel {kernel} --report out.json"))
-            .done();
+    for (option, kernel) in [
+        ("--robust", "huber:1.345"),
+        ("--robust=huber", "huber:1.345"),
+        ("--robust=huber:1.0", "huber:1"),
+        ("--robust=pseudo-huber:0.5", "pseudo-huber:0.5"),
+        ("--kernel pseudo-huber:1.0", "pseudo-huber:1"),
+    ] {
+        folder.run(&format!("replay bent.g2o --final-batch {option} --report out.json")).done();
         let (plain, robust) = (folder.json("plain.json"), folder.json("out.json"));
+        assert_eq!(robust["settings"]["kernel"], kernel);
         assert!(number(&robust, "error") < number(&plain, "error"));
         assert!(number(&robust, "chi2") > number(&plain, "chi2"));
     }
@@ -206,6 +211,21 @@ fn without_a_prior_the_component_is_named() {
     assert_eq!(report["status"], "singular");
     assert_eq!(report["steps"], 0);
     assert!(report["gauge_prior"].is_null());
+}
+
+#[test]
+fn an_error_that_is_no_number_names_its_line() {
+    let far = SQUARE.replace("3 0 1.05 0 1.56 100", "3 0 1e155 0 1.56 100");
+    let folder = Folder::with("far.g2o", &far);
+    for line in [
+        "replay far.g2o --relinearize never",
+        "replay far.g2o --max-steps 4",
+        "optimize far.g2o --max-iterations 0",
+    ] {
+        let ran = folder.run(&format!("{line} --output map.g2o --report out.json"));
+        ran.failed(1, &["far.g2o", "not finite"]);
+    }
+    assert_eq!(folder.list(), ["far.g2o"]);
 }
 
 #[test]

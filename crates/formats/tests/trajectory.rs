@@ -306,9 +306,11 @@ fn a_document_gives_its_vertices_and_their_times() {
     let yaw = trajectory.poses()[1].rotation().roll_pitch_yaw()[2];
     assert!((yaw - (4.5 - std::f64::consts::TAU)).abs() < 1e-15);
 
-    let line = |id, time| Line {
-        time,
-        ..Record::Vertex { id, at: Coordinates::Pose2([id as f64, 0.0, 0.0]) }.into()
+    let line = |id, time| {
+        let at = Coordinates::Pose2([id as f64, 0.0, 0.0]);
+        let mut line = Line::from(Record::Vertex { id, at });
+        line.set_time(time);
+        line
     };
     let of = |times: [Option<f64>; 2]| {
         let lines = (0..).zip(times).map(|(id, time)| line(id, time));

@@ -5,6 +5,7 @@
 //! step that raises the error.
 
 use serde::{Deserialize, Serialize};
+use tracing::{debug, info};
 
 use crate::error::SmootherError;
 use crate::linearization::Blocks;
@@ -196,6 +197,7 @@ impl Smoother {
                     // Damping also carries over points where the system is singular.
                     Err(SmootherError::Singular(_)) if may_damp && damping <= LARGEST_DAMPING => {
                         damping = more(damping);
+                        debug!(damping, "singular, damped more");
                         continue;
                     }
                     Err(error) => return Err(error),
@@ -213,6 +215,7 @@ impl Smoother {
                 self.points = trial;
                 error = trial_error;
                 iterations += 1;
+                info!(iteration = iterations, error, damping, "step taken");
                 self.relinearize_all()?;
                 eliminated = false;
                 damping = if damping <= FIRST_DAMPING { 0.0 } else { damping / DAMPING_FACTOR };
@@ -229,6 +232,7 @@ impl Smoother {
             } else {
                 damping = more(damping);
                 eliminated = false;
+                debug!(error, trial_error, damping, "step refused, damped more");
             }
         };
         if !eliminated || damping > 0.0 {
@@ -281,6 +285,7 @@ impl Smoother {
                     self.points = trial;
                     error = trial_error;
                     iterations += 1;
+                    info!(iteration = iterations, error, radius, "step taken");
                     self.relinearize_all()?;
                     eliminated = false;
                     if (decrease <= negligible || still) && full {
@@ -292,6 +297,7 @@ impl Smoother {
                     break 'outer Status::Converged;
                 }
                 radius = 0.25 * radius.min(newton_length);
+                debug!(error, trial_error, radius, "step refused, trust region made smaller");
                 // Written so that an infinite or NaN length ends it too.
                 if !(radius.is_finite() && radius >= SMALLEST_RADIUS * newton_length) {
                     break 'outer Status::NotConverged(Reason::NoDescent);
@@ -313,6 +319,7 @@ impl Smoother {
     ) -> BatchReport {
         let gradient_norm =
             gradient(&self.graph, &self.blocks).iter().fold(0.0, |m: f64, g| m.max(g.abs()));
+        info!(?status, iterations, initial_error, error, gradient_norm, "batch done");
         BatchReport { status, iterations, initial_error, error, gradient_norm }
     }
 

@@ -1,6 +1,7 @@
 //! Moving linearization points to the estimate, as the policy asks.
 
 use evergraph_model::Graph;
+use tracing::debug;
 
 use crate::batch::{BatchReport, BatchSettings};
 use crate::error::SmootherError;
@@ -50,6 +51,7 @@ impl Smoother {
         }
         match self.move_points(&moved) {
             Ok(cliques) => {
+                debug!(step = steps, variables = moved.len(), cliques, threshold, "relinearized");
                 report.variables_relinearized = moved.len();
                 report.cliques_eliminated += cliques;
             }
@@ -123,6 +125,7 @@ impl Smoother {
 
     /// Eliminates everything in a fresh order, at the current linearization.
     pub(crate) fn rebuild(&mut self) -> Result<(), SmootherError> {
+        debug!(step = self.steps, cliques = self.tree.len(), "everything in a fresh order");
         let affected = Affected::everything(&self.tree);
         let newest = self.newest;
         let job = affected.plan(&self.graph, &self.tree, newest, &mut self.scratch.local);

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use evergraph_model::{Change, Graph, Staged};
+use tracing::trace;
 
 use crate::dense::select_arch;
 use crate::diagnose;
@@ -154,6 +155,13 @@ impl Smoother {
         // 7. Relinearize what the policy asks for.
         self.relinearize(&mut report);
         report.rank = self.graph.dim();
+        trace!(
+            step = self.steps,
+            variables = report.variables_eliminated,
+            cliques = report.cliques_eliminated,
+            kept = report.subtrees_kept,
+            "applied"
+        );
         Ok(report)
     }
 

@@ -8,7 +8,7 @@ use evergraph_factors::{
     TranslationDifference2, TranslationDifference3,
 };
 use evergraph_model::{
-    Factor, LieGroup, Manifold, Noise, Point2, Point3, Pose2, Pose3, Robust, Value, VariableId,
+    Factor, LieGroup, Manifold, Noise, Point2, Point3, Pose2, Pose3, Value, VariableId,
 };
 use nalgebra::DMatrix;
 use smallvec::SmallVec;
@@ -26,14 +26,10 @@ trait Written {
 /// The line of a factor, if it is of one of these types, under a kernel or not.
 macro_rules! line_of {
     ($exporter:expr, $factor:expr, $($type:ty,)*) => {{
-        let any = $factor.as_any();
         $(
-            if let Some(factor) = any.downcast_ref::<$type>() {
-                return factor.record($exporter).map(Line::from);
-            }
-            if let Some(robust) = any.downcast_ref::<Robust<$type>>() {
-                let mut line = Line::from(robust.inner().record($exporter)?);
-                line.set_kernel(Some(robust.kernel()));
+            if let Some((factor, kernel)) = $factor.downcast::<$type>() {
+                let mut line = Line::from(factor.record($exporter)?);
+                line.set_kernel(kernel);
                 return Some(line);
             }
         )*

@@ -72,7 +72,7 @@ impl Stamps {
     /// The times that the pose vertices of a document have; empty where its format has none.
     pub fn of_document(document: &Document) -> Self {
         let times = document.lines().iter().filter_map(|line| match &line.record {
-            Record::Vertex { id, at } if at.kind().is_pose() => Some((*id, line.time?)),
+            Record::Vertex { id, at } if at.kind().is_pose() => Some((*id, line.time()?)),
             _ => None,
         });
         Self { name: document.name().into(), times: times.collect() }

@@ -13,6 +13,7 @@ use std::collections::BTreeMap;
 
 use evergraph_model::Graph;
 use smallvec::SmallVec;
+use tracing::debug;
 
 use crate::linearization::Blocks;
 use crate::settings::Elimination;
@@ -168,6 +169,7 @@ impl<'a> Range<'a> {
             if let Ok(numeric) = front::eliminate(self.system, structure, &children, workspace) {
                 return Ok(numeric);
             }
+            debug!(first = structure.frontals[0], "pivot too small for Cholesky, QR from rows");
         }
         self.eliminate_by_rows(node, workspace)
     }

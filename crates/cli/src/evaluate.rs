@@ -1,0 +1,188 @@
+//! `evergraph evaluate`.
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use evergraph::evaluate::{
+    AbsoluteError, Alignment, Association, EvaluateError, LandmarkError, Map, PosePairs,
+    RelativeError, RelativePairs, Statistics,
+};
+use evergraph::formats::Stamps;
+use serde_json::{Value, json};
+
+use crate::error::Error;
+use crate::files;
+use crate::options::{Common, Reading};
+use crate::output::Output;
+use crate::report::{self, SCHEMA};
+use crate::table::{Rows, number};
+
+const EXAMPLES: &str = "\
+Examples:
+  evergraph evaluate map.g2o --truth truth.g2o
+  evergraph evaluate map.tum --truth groundtruth.tum --max-difference 0.02 --delta 10
+  evergraph evaluate map.g2o --times times.csv --truth groundtruth.tum --align first
+
+Maps are g2o, TORO, iSAM or PyFactorGraph files with vertices (or noise-free edges), TUM or KITTI
+trajectories, told by their content. Poses are paired by id where both sides have ids, else by
+time, or an id in its place. As evo does:
+  absolute error (ATE)  E_k = y_k^-1 (S x_k), x estimated, y true, S the alignment
+  relative error (RPE)  E_k = (y_k^-1 y_k+D)^-1 (x_k^-1 x_k+D)";
+
+/// How the estimate is laid over the truth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Align {
+    /// As it is
+    None,
+    /// By the rigid motion that brings the positions closest
+    Rigid,
+    /// First pose on first pose
+    First,
+    /// Rigid with a scale
+    Scale,
+}
+
+impl Align {
+    fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Rigid => "rigid",
+            Self::First => "first",
+            Self::Scale => "scale",
+        }
+    }
+
+    fn alignment(self) -> Alignment {
+        match self {
+            Self::None => Alignment::None,
+            Self::Rigid => Alignment::Rigid,
+            Self::First => Alignment::FirstPose,
+            Self::Scale => Alignment::Similarity,
+        }
+    }
+}
+
+/// Measure a map by the truth.
+#[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct Arguments {
+    /// The map: a graph with estimates as vertices, or a trajectory
+    estimate: PathBuf,
+    /// Where everything really was
+    #[arg(long, value_name = "FILE")]
+    truth: PathBuf,
+    /// How the estimate is laid over the truth
+    #[arg(long, value_enum, default_value = "rigid")]
+    align: Align,
+    /// Relative errors between poses this many apart [default: 1]
+    #[arg(long, value_name = "K")]
+    delta: Option<NonZeroUsize>,
+    /// Relative errors of all pairs that far apart, not only of those that follow each other
+    #[arg(long)]
+    all_pairs: bool,
+    /// Pair by time, to this many seconds [default: by id, or by time to 0.01]
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = seconds)]
+    max_difference: Option<f64>,
+    /// Times of the estimate's poses, lines of `id,timestamp`
+    #[arg(long, value_name = "FILE.csv")]
+    times: Option<PathBuf>,
+    #[command(flatten)]
+    reading: Reading,
+    #[command(flatten)]
+    pub(crate) common: Common,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x >= 0.0 && x.is_finite() => Ok(x),
+        _ => Err("give a number of seconds, at least 0".into()),
+    }
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
+    let common = &arguments.common;
+    if let Some(path) = &common.report {
+        files::check_writable(path)?;
+    }
+    let options = arguments.reading.options(common);
+    let mut estimate = Map::read(&arguments.estimate, None, &options)?;
+    if let Some(path) = &arguments.times {
+        estimate = estimate.with_stamps(&Stamps::read(path)?)?;
+    }
+    let truth = Map::read(&arguments.truth, None, &options)?;
+    let association = match arguments.max_difference {
+        Some(max_difference) => Association::Time { max_difference },
+        None => Association::of(&estimate.trajectory, &truth.trajectory),
+    };
+    let pairs = PosePairs::new(&estimate.trajectory, &truth.trajectory, association)?;
+    let aligned = pairs.align(arguments.align.alignment())?;
+    let absolute = AbsoluteError::of(&pairs, &aligned.similarity)?;
+    let relative = relative(&pairs, arguments)?;
+    let landmarks = LandmarkError::of(&estimate.landmarks, &truth.landmarks, &aligned.similarity)?;
+
+    let dataset = report::file_name(&arguments.estimate);
+    let matched = pairs.pairs().len();
+    let report = json!({
+        "schema": SCHEMA,
+        "command": "evaluate",
+        "dataset": dataset,
+        "truth": report::file_name(&arguments.truth),
+        "poses": { "matched": matched, "estimate": estimate.trajectory.len(), "truth": truth.trajectory.len() },
+        "settings": {
+            "align": arguments.align.name(),
+            "association": association.to_string(),
+            "delta": arguments.delta.map_or(1, NonZeroUsize::get),
+            "all_pairs": arguments.all_pairs,
+            "reading": arguments.reading.json(),
+        },
+        "alignment": { "scale": aligned.similarity.scale, "unique": aligned.unique },
+        "ate": { "translation": absolute.translation, "rotation": absolute.rotation },
+        "rpe": relative.map_or(Value::Null, |it| json!(it)),
+        "landmarks": landmarks.map_or(Value::Null, |it| json!(it)),
+    });
+    report::save(common.report.as_deref(), &report)?;
+
+    let output = Output::new(common);
+    if !aligned.unique {
+        output.warn(&"the positions of one side lie on a line: the alignment is one of many, and errors of rotation mean little");
+    }
+    let mut rows = Rows::new("map", &dataset);
+    rows.add("truth", report::file_name(&arguments.truth));
+    let (of, with) = (estimate.trajectory.len(), truth.trajectory.len());
+    rows.add("poses", format!("{matched} of {of} matched with {with} by {association}"));
+    let scale = match arguments.align {
+        Align::Scale => format!(", {}", number(aligned.similarity.scale)),
+        _ => String::new(),
+    };
+    rows.add("alignment", format!("{}{scale}", arguments.align.name()));
+    add(&mut rows, "absolute (ATE) [m]", &absolute.translation);
+    add(&mut rows, "  rotation [rad]", &absolute.rotation);
+    if let Some(relative) = &relative {
+        add(&mut rows, "relative (RPE) [m]", &relative.translation);
+        add(&mut rows, "  rotation [rad]", &relative.rotation);
+    }
+    if let Some(landmarks) = &landmarks {
+        add(&mut rows, "landmarks [m]", &landmarks.distance);
+        let (unknown, missing) = (landmarks.unknown, landmarks.missing);
+        rows.add("", format!("{unknown} that the truth does not know, {missing} missing"));
+    }
+    output.result(&rows)
+}
+
+/// The relative error; a single pose has none, which is no failure unless a distance was asked for.
+fn relative(pairs: &PosePairs, arguments: &Arguments) -> Result<Option<RelativeError>, Error> {
+    let delta = arguments.delta.unwrap_or(NonZeroUsize::MIN);
+    match RelativeError::of(pairs, RelativePairs { delta, all: arguments.all_pairs }) {
+        Ok(error) => Ok(Some(error)),
+        Err(EvaluateError::NoPair { .. }) if arguments.delta.is_none() => Ok(None),
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn add(rows: &mut Rows, name: &str, statistics: &Statistics) {
+    let Statistics { count, rmse, mean, median, std, min, max, .. } = *statistics;
+    let [rmse, mean, median, std, min, max] = [rmse, mean, median, std, min, max].map(number);
+    rows.add(name, format!("rmse {rmse}, mean {mean}, median {median}, std {std},"));
+    rows.add("", format!("min {min}, max {max} of {count}"));
+}
