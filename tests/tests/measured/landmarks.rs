@@ -67,6 +67,35 @@ fn parallel_bearings_do_not_place_a_landmark() {
 }
 
 #[test]
+fn a_narrow_baseline_does_not_place_a_landmark() {
+    // From a metre apart, at 0.01 rad, 60 m ahead are known to 50.
+    let mut world = straight();
+    world.landmark2(50, 0.5, 60.0);
+    (0..2).for_each(|pose| world.bearing(pose, 50));
+    assert_eq!(world.replay().replay().held_back(), 1);
+    world.bearing(9, 50);
+    assert_eq!(arrival(&world, 50), Some(10));
+}
+
+#[test]
+fn ranges_that_contradict_each_other_place_nothing() {
+    let mut world = World::default();
+    world.drive2(0..30, Pose2::identity(), 0.2);
+    world.landmark2(50, 1.0, 4.0);
+    (0..30).for_each(|pose| world.range(pose, 50));
+    assert_eq!(world.replay().replay().held_back(), 0);
+    let mut measured = 0;
+    for line in &mut world.lines {
+        if let evergraph::formats::Record::Measurement(range) = &mut line.record {
+            // Fifteen standard deviations, to either side.
+            range.numbers[0] += if measured % 2 == 0 { 1.5 } else { -1.5 };
+            measured += 1;
+        }
+    }
+    assert_eq!((measured, world.replay().replay().held_back()), (30, 1));
+}
+
+#[test]
 fn bearings_that_do_not_meet_place_nothing() {
     // The second looks the other way.
     let mut world = straight();

@@ -63,6 +63,20 @@ fn lines_with_times_come_in_their_order() {
 }
 
 #[test]
+fn odometry_goes_before_what_is_seen_at_the_same_time() {
+    let mut world = World::default();
+    world.drive2(0..2, Pose2::identity(), 0.2);
+    world.note(|line| line.set_time(Some(1.0)));
+    world.landmark2(50, 4.0, 6.0);
+    world.edge(1, 50);
+    world.note(|line| line.set_time(Some(1.0)));
+    world.lines.reverse();
+    let replayer = world.replay();
+    assert_eq!(replayer.replay().gauge_priors()[0].id, 0);
+    assert_eq!(replayer.replay().ids().map(|(id, _)| id).collect::<Vec<_>>(), [0, 1, 50]);
+}
+
+#[test]
 fn kernels_of_the_file_go_before_those_of_the_options() {
     let mut world = World::default();
     world.drive2(0..2, Pose2::identity(), 0.2);
