@@ -36,7 +36,9 @@ fn is_well_formed(xml: &str) -> bool {
 #[test]
 fn a_plot_shows_what_there_is() {
     let folder = Folder::new();
-    let seen = format!("{SQUARE}VERTEX_XY 9 2 2\nEDGE_SE2_XY 1 9 1 1 1 0 1\nEDGE_SE2 0 2 1 1 3.1 1 0 0 1 0 1\n");
+    let seen = format!(
+        "{SQUARE}VERTEX_XY 9 2 2\nEDGE_SE2_XY 1 9 1 1 1 0 1\nEDGE_SE2 0 2 1 1 3.1 1 0 0 1 0 1\n"
+    );
     folder.write("a & b.g2o", &seen);
     let mut command = folder.command("replay --plot map.svg --report out.json");
     assert!(command.arg("a & b.g2o").output().unwrap().status.success());

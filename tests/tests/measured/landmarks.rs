@@ -151,7 +151,11 @@ fn a_landmark_starts_at_its_vertex_if_told_so() {
         let (id, at) = (truth.0, truth.1.coordinates());
         world.add(evergraph::formats::Record::Vertex { id, at });
     }
-    assert_eq!(world.batch(Initial::FromFile).replay().held_back(), 1, "it is still not determined");
+    assert_eq!(
+        world.batch(Initial::FromFile).replay().held_back(),
+        1,
+        "it is still not determined"
+    );
 }
 
 #[test]
@@ -172,8 +176,7 @@ fn bearing_and_range_together_place_a_landmark_at_once() {
         while let Some(done) = replayer.step().unwrap() {
             kinds.push(done.step.kind);
         }
-        let loops: Vec<usize> =
-            (0..10).filter(|&step| kinds[step] == StepKind::Loop).collect();
+        let loops: Vec<usize> = (0..10).filter(|&step| kinds[step] == StepKind::Loop).collect();
         assert_eq!(loops, [7]);
         world.check(&world.replay());
     }

@@ -1,11 +1,9 @@
 //! What comes in when.
 
-use evergraph::factors::RootShift;
-use evergraph::formats::{
-    Initial, LinearMeasurement, Quantity, Record, Replay, ReplayOptions,
-};
-use evergraph::model::{Kernel, LieGroup, Point2, Point3, Pose2, Pose3, Rot3};
 use evergraph::Graph;
+use evergraph::factors::RootShift;
+use evergraph::formats::{Initial, LinearMeasurement, Quantity, Record, Replay, ReplayOptions};
+use evergraph::model::{Kernel, LieGroup, Point2, Point3, Pose2, Pose3, Rot3};
 
 use crate::world::{Truth, World, sigma};
 
@@ -154,8 +152,7 @@ fn linear(world: &mut World, ids: &[u64]) {
     let points: Vec<_> = ids.iter().map(|id| (*id, world.truth[id].coordinates())).collect();
     let (columns, rows) = (3 * ids.len(), 3 * (ids.len() - 1));
     let entry = |i, j| if j == i + 3 { 10.0 } else { 0.0 };
-    let sqrt_information =
-        (0..rows).flat_map(|i| (0..columns).map(move |j| entry(i, j))).collect();
+    let sqrt_information = (0..rows).flat_map(|i| (0..columns).map(move |j| entry(i, j))).collect();
     world.add(Record::Linear(Box::new(LinearMeasurement {
         points,
         root_shift: RootShift::Root,
@@ -200,8 +197,7 @@ fn partial_odometry_and_absolute_parts_make_a_chain() {
         let [_, _, last_yaw] = before.rotation().roll_pitch_yaw();
         world.measure(Quantity::HeadingDifference, &[id - 1, id], &[yaw - last_yaw]);
         world.measure(Quantity::DepthDifference, &[id - 1, id], &[x.z() - before.z()]);
-        let mut numbers =
-            Truth::Pose3(before.between(&x)).coordinates().numbers().to_vec();
+        let mut numbers = Truth::Pose3(before.between(&x)).coordinates().numbers().to_vec();
         numbers.extend([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
         world.measure_with(Quantity::Partial, &[id - 1, id], &numbers, sigma(0.1, 2));
     }
@@ -214,12 +210,16 @@ fn partial_odometry_and_absolute_parts_make_a_chain() {
 fn priors_on_a_sensor_are_priors_on_the_robot() {
     let sensor = Pose3::new(Rot3::from_roll_pitch_yaw(0.4, 0.5, -2.0), Point3::new(0.5, -1.0, 2.0));
     let mut world = World::default();
-    world.drive3(0..3, Pose3::new(Rot3::from_roll_pitch_yaw(1.0, 0.2, 3.0), Point3::new(9.0, 8.0, 7.0)));
+    world.drive3(
+        0..3,
+        Pose3::new(Rot3::from_roll_pitch_yaw(1.0, 0.2, 3.0), Point3::new(9.0, 8.0, 7.0)),
+    );
     world.add(Record::SensorOffset { id: 7, at: Truth::Pose3(sensor).coordinates() });
     for (quantity, rows) in [(Quantity::Prior, 6), (Quantity::Position, 3)] {
         let seen = world.pose3(1) * sensor;
         let seen = Truth::Pose3(seen);
-        let numbers = if rows == 6 { seen.coordinates().numbers().to_vec() } else { seen.position() };
+        let numbers =
+            if rows == 6 { seen.coordinates().numbers().to_vec() } else { seen.position() };
         world.measure_with(quantity, &[1], &numbers, sigma(0.1, rows));
         let Some(Record::Measurement(last)) = world.lines.last_mut().map(|line| &mut line.record)
         else {
@@ -234,11 +234,8 @@ fn priors_on_a_sensor_are_priors_on_the_robot() {
     let mut replay = Replay::new(&document, &ReplayOptions::default()).unwrap();
     let mut change = Graph::new().change();
     replay.everything(&mut change).unwrap();
-    let (_, factor) = change
-        .new_factors()
-        .iter()
-        .find(|(_, factor)| factor.name() == "Prior<Pose3>")
-        .unwrap();
+    let (_, factor) =
+        change.new_factors().iter().find(|(_, factor)| factor.name() == "Prior<Pose3>").unwrap();
     let off = Pose3::exp(&[0.1, -0.2, 0.3, 0.2, -0.1, 0.15].into());
     let x = world.pose3(1) * off;
     let value = evergraph::model::Value::new(&x);
