@@ -433,6 +433,18 @@ mod tests {
         assert!((last.y() - 1.0_f64.sin()).abs() < 1e-12, "{last:?}");
     }
 
+    #[test]
+    fn a_part_with_a_fixed_pose_follows_it_wherever_it_comes() {
+        // As to rotations, poses 1 and 2 are a part of their own, and 2 is fixed.
+        let text = format!(
+            "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 2\nVERTEX_SE2 2 2 0 0.5\n\
+             EDGE_SE2 0 1 1 0 1 1 0 0 1 0 0\nEDGE_SE2 1 2 1 0 0.25 {UNIT}\nFIX 0\nFIX 2\n"
+        );
+        let found = start(&parse(&text));
+        let theta = |id: u64| found[&id].get::<Pose2>().unwrap().theta();
+        assert!((theta(1) - 0.25).abs() < 1e-12 && theta(2) == 0.5, "{found:?}");
+    }
+
     /// The polar factor of a reflection is none: the nearest rotation turns the weakest direction.
     #[test]
     fn reflections_become_rotations() {
