@@ -23,7 +23,7 @@ pub struct Overview {
     members: HashMap<(u64, bool), usize>,
 }
 
-/// A part of a graph that no edge ties to the rest.
+/// A part of a graph that no factor ties to the rest.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Component {
     /// Its lowest id, of a pose if it has one.
@@ -45,13 +45,18 @@ impl Overview {
         let mut pairs: HashMap<(usize, usize), usize> = HashMap::new();
         for record in document.records() {
             *overview.records.entry(name(record)).or_default() += 1;
-            let Record::Edge { from, to, measurement, .. } = record else { continue };
-            let ends =
-                (places.get(&(*from, true)), places.get(&(*to, measurement.kind().is_pose())));
-            let (Some(&a), Some(&b)) = ends else { continue };
-            *pairs.entry((a.min(b), a.max(b))).or_default() += 1;
-            let (a, b) = (root(&mut parent, a), root(&mut parent, b));
-            parent[a.max(b)] = a.min(b);
+            let ends: Vec<usize> = record
+                .ends()
+                .iter()
+                .filter_map(|(id, kind)| places.get(&(*id, kind.is_pose())).copied())
+                .collect();
+            if let (Record::Edge { .. }, &[a, b]) = (record, &ends[..]) {
+                *pairs.entry((a.min(b), a.max(b))).or_default() += 1;
+            }
+            for pair in ends.windows(2) {
+                let (a, b) = (root(&mut parent, pair[0]), root(&mut parent, pair[1]));
+                parent[a.max(b)] = a.min(b);
+            }
         }
         overview.repeated_pairs = pairs.values().filter(|&&edges| edges > 1).count();
         overview.repeated_edges = pairs.values().map(|edges| edges - 1).sum();
@@ -93,7 +98,7 @@ fn name(record: &Record) -> String {
         Record::SensorOffset { .. } => "sensor offsets".into(),
         Record::GeodeticOrigin { .. } => "geodetic origins".into(),
         Record::Linear(_) => "linear factors".into(),
-        Record::Measurement(measurement) => format!("{:?}", measurement.quantity),
+        Record::Measurement(measurement) => measurement.quantity.name().into(),
     }
 }
 
@@ -128,5 +133,16 @@ mod tests {
         assert_eq!((overview.repeated_pairs, overview.repeated_edges), (1, 1));
         assert_eq!((overview.pose_ids, overview.landmark_ids), (Some((5, 9)), Some((20, 20))));
         assert_eq!(overview.records["edges to a 2D pose"], 3);
+    }
+
+    #[test]
+    fn any_factor_ties_variables() {
+        let text = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0 0 0\nVERTEX_SE2 2 0 0 0\nVERTEX_XY 3 0 0\n\
+                    FACTOR_RANGE_SE2 0 1 2 1\nEDGE_PRIOR_XY 3 0 0 1 0 1\n";
+        let document = Document::parse("test", text.as_bytes(), &ReadOptions::default()).unwrap();
+        let overview = Overview::of(&document);
+        assert_eq!(overview.components.len(), 3);
+        assert_eq!((overview.records["ranges"], overview.records["priors"]), (1, 1));
+        assert_eq!((overview.repeated_pairs, overview.repeated_edges), (0, 0));
     }
 }

@@ -97,13 +97,14 @@ fn inspect_measurement<'a>(
     let Some(rows) = measurement.rows() else {
         let kinds: Vec<_> = measurement.kinds().iter().map(|kind| kind.name()).collect();
         let (what, count) = (quantity.name(), numbers.len());
-        let problem = format!("{what} of a {} is not given by {count} numbers", kinds.join(", a "));
+        let problem =
+            format!("{what} of a {} are not given by {count} numbers", kinds.join(", a "));
         return Err(bad(place, problem));
     };
     let of_pose3 = measurement.kinds()[0] == Kind::Pose3;
     let has_offset = of_pose3 && matches!(quantity, Quantity::Prior | Quantity::Position);
     if parameter.is_some() && !has_offset {
-        return Err(bad(place, format!("{} knows no sensor offset", quantity.name())));
+        return Err(bad(place, format!("{} know no sensor offset", quantity.name())));
     }
     require_finite(numbers, tag, place)?;
     let mut finding = Finding::default();

@@ -59,6 +59,8 @@ pub struct Summary {
     pub landmark_edges: usize,
     /// Any other factors: priors, positions, ranges, bearings, partial states, linear factors.
     pub measurements: usize,
+    /// Factors under a robust kernel, already counted as what they are.
+    pub robust: usize,
     /// Ids that FIX lines name.
     pub fixed: usize,
     /// PARAMS lines.
@@ -293,6 +295,7 @@ impl Summary {
         self.landmarks = kinds.len() - self.poses;
         (self.vertices, self.pose_edges, self.landmark_edges) = (0, 0, 0);
         (self.fixed, self.offsets, self.measurements) = (0, 0, 0);
+        self.robust = lines.iter().filter(|line| line.kernel().is_some()).count();
         for line in lines {
             let counter = match &line.record {
                 Record::Vertex { .. } => &mut self.vertices,

@@ -271,7 +271,7 @@ pub enum FormatError {
     },
     /// Nothing of the document has a line in the target format.
     #[error(
-        "{file}: a {dialect} file has no line for anything in it, so nothing would be written; write another format"
+        "{file}: {dialect} files have no line for anything in it, so nothing would be written; write another format"
     )]
     NothingToWrite {
         /// The file.
@@ -363,7 +363,7 @@ pub enum FormatError {
     },
     /// The target format has no line for something.
     #[error(
-        "{place}: a {dialect} file cannot hold {what}; write another format, or remove it first"
+        "{place}: {dialect} files cannot hold {what}; write another format, or remove it first"
     )]
     Unsupported {
         /// Where.

@@ -1,15 +1,17 @@
 //! Graph files: text to records, records to text, and records to the changes of a replay.
 //!
-//! Three families of files describe the same thing, poses that measure each other and landmarks, in
-//! different words and numbers: g2o, TORO (with HOG-Man) and iSAM. A [`Document`] keeps what a file
-//! says in the file's own numbers, so that writing the same family gives the same bits, and knows
-//! how to say it in another. A [`Replay`] turns a document into the
+//! Four families of files describe the same thing, poses that measure each other and landmarks, in
+//! different words and numbers: g2o, TORO (with HOG-Man), iSAM and PyFactorGraph. A [`Document`]
+//! keeps what a file says in the file's own numbers, so that writing the same family gives the same
+//! bits, and knows how to say it in another. It can also be made of a graph in memory
+//! ([`Document::from_graph`]). A [`Replay`] turns a document into the
 //! [`Change`](evergraph_model::Change)s that a robot would have made, step by step.
 //!
 //! # Lines
 //!
 //! A pose is `world_from_robot`; an edge `i j` measures pose `j` in the frame of pose `i`. Lengths
-//! are metres, angles radians; `I` are matrix entries.
+//! are metres, angles radians; `3I` stands for the upper triangle of a 2 × 2 matrix row by row, `6I`
+//! for 3 × 3, `21I` for 6 × 6; `pose` in a list of numbers is `x y theta` or `x y z qx qy qz qw`.
 //!
 //! | dialect | line | fields |
 //! |---|---|---|
@@ -17,24 +19,57 @@
 //! | g2o | `VERTEX_XY` | `id x y` |
 //! | g2o | `VERTEX_SE3:QUAT` | `id x y z qx qy qz qw` |
 //! | g2o | `VERTEX_TRACKXYZ` | `id x y z` |
-//! | g2o | `EDGE_SE2` | `i j x y theta I11 I12 I13 I22 I23 I33` |
-//! | g2o | `EDGE_SE2_XY` | `pose point x y I11 I12 I22` |
-//! | g2o | `EDGE_SE3:QUAT` | `i j x y z qx qy qz qw` and 21 entries, the upper triangle row by row |
-//! | g2o | `EDGE_SE3_TRACKXYZ` | `pose point offset x y z I11 I12 I13 I22 I23 I33` |
+//! | g2o | `EDGE_SE2` | `i j x y theta 6I` |
+//! | g2o | `EDGE_SE2_XY` | `pose point x y 3I` |
+//! | g2o | `EDGE_SE3:QUAT` | `i j x y z qx qy qz qw 21I` |
+//! | g2o | `EDGE_SE3_TRACKXYZ` | `pose point offset x y z 6I` |
+//! | g2o | `EDGE_PRIOR_SE2`, `EDGE_PRIOR_XY`, `EDGE_POINTXYZ_PRIOR` | `id`, as in the vertex line, `6I`, `3I`, `6I` |
+//! | g2o | `EDGE_SE3_PRIOR` | `id offset x y z qx qy qz qw 21I`: the pose of the sensor |
+//! | g2o | `EDGE_PRIOR_SE2_XY` | `id x y 3I`: position, as of 2D GPS |
+//! | g2o | `EDGE_SE3_XYZ_PRIOR` | `id [offset] x y z 6I`: position; the offset, which g2o names and does not use, may be missing |
+//! | g2o | `EDGE_BEARING_SE2_XY` | `pose point bearing I` |
+//! | g2o | `EDGE_POINTXY`, `EDGE_POINTXYZ` | `i j x y 3I`, `i j x y z 6I` |
 //! | g2o | `PARAMS_SE3OFFSET` | `id x y z qx qy qz qw`, `robot_from_sensor` |
 //! | g2o | `FIX` | one id or several |
+//! | own | `FACTOR_ANTENNA_SE2`, `_SE3` | `id x y ax ay 3I`, `id x y z ax ay az 6I`: where in the world, then where on the robot |
+//! | own | `FACTOR_DEPTH_SE3`, `FACTOR_HEADING_SE2`, `_SE3` | `id z I`, `id heading I` |
+//! | own | `FACTOR_ROLL_PITCH_SE3` | `id roll pitch 3I` |
+//! | own | `FACTOR_ATTITUDE_SE3` | `id gx gy gz mx my mz 3I`: a direction in the world, and as the robot sees it |
+//! | own | `FACTOR_PLANE_SE3` | `id height 6I`: height and tilt of motion in a plane |
+//! | own | `FACTOR_RANGE_SE2`, `_SE2_XY`, `_SE3`, `_SE3_XYZ`, `_XY`, `_XYZ` | `i j range I`, a pose before a point |
+//! | own | `FACTOR_BEARING_SE2`, `_SE3`, `_SE3_XYZ` | `i j bearing I`, `i j bx by bz 3I` |
+//! | own | `FACTOR_BEARING_RANGE_SE2`, `_SE2_XY`, `_SE3`, `_SE3_XYZ` | `i j bearing range 3I`, `i j bx by bz range 6I` |
+//! | own | `FACTOR_DEPTH_DIFFERENCE_SE3`, `FACTOR_HEADING_DIFFERENCE_SE3` | `i j difference I` |
+//! | own | `FACTOR_TRANSLATION_DIFFERENCE_SE2`, `_SE3` | `i j dx dy 3I`, `i j dx dy dz 6I`: in the world's axes |
+//! | own | `FACTOR_PARTIAL_SE2`, `_SE3` | `i j k pose A I`: `k` combinations of the tangent, `k` rows of 3 or 6, then the upper triangle of `k` rows |
+//! | own | `FACTOR_LINEAR` | `shift n`, `n` times `kind id` and a linearization point, `q`, `G` row by row, `d'`; `shift` is `none`, `root` or `inverse_root`, `kind` is `SE2`, `SE3`, `XY` or `XYZ` |
+//! | own | `GEODETIC_ORIGIN` | `latitude longitude height` of the world's origin (degrees, m; WGS 84), one line at most |
+//! | own | `ROBUST` | `huber` or `pseudo_huber`, a threshold, and the line of any factor of g2o or our own |
 //! | TORO | `VERTEX2` | `id x y theta` |
 //! | TORO | `EDGE2` | `i j x y theta I11 I12 I22 I33 I13 I23` |
 //! | TORO | `VERTEX3` | `id x y z roll pitch yaw` |
-//! | TORO | `EDGE3` | `i j x y z roll pitch yaw` and 21 entries, the upper triangle row by row |
-//! | iSAM | `EDGE2`, `ODOMETRY`, `Constraint2` | `i j x y theta R11 R12 R13 R22 R23 R33` |
-//! | iSAM | `LANDMARK` | `pose point x y R11 R12 R22` |
-//! | iSAM | `EDGE3` | `i j x y z roll pitch yaw` and 21 entries, or none for the identity |
-//! | iSAM | `POINT3` | `pose point x y z R11 R12 R13 R22 R23 R33`, or no entries for the identity |
+//! | TORO | `EDGE3` | `i j x y z roll pitch yaw 21I` |
+//! | iSAM | `EDGE2`, `ODOMETRY`, `Constraint2` | `i j x y theta 6I` |
+//! | iSAM | `LANDMARK` | `pose point x y 3I` |
+//! | iSAM | `EDGE3` | `i j x y z roll pitch yaw 21I`, or no entries for the identity |
+//! | iSAM | `POINT3` | `pose point x y z 6I`, or no entries for the identity |
+//! | PyFactorGraph | `VERTEX_SE2`, `VERTEX_SE3:QUAT` | `time name pose` |
+//! | PyFactorGraph | `VERTEX_XY`, `VERTEX_XYZ` | `[time] name x y`, `[time] name x y z` |
+//! | PyFactorGraph | `VERTEX_SE2:PRIOR`, `VERTEX_SE3:QUAT:PRIOR`, `VERTEX_XY:PRIOR`, `VERTEX_XYZ:PRIOR` | `time name`, as in the vertex line, and the matrix |
+//! | PyFactorGraph | `EDGE_SE2`, `EDGE_SE3:QUAT` | `time a b pose`, and the matrix |
+//! | PyFactorGraph | `EDGE_SE2_XY`, `EDGE_SE3_XYZ` | `time pose point x y 3I`, `time pose point x y z 6I` |
+//! | PyFactorGraph | `EDGE_RANGE` | `time a b range variance`, of poses and landmarks |
 //!
-//! Matrices of g2o and TORO are information; iSAM's are upper triangular square roots of it unless
-//! [`ReadOptions::isam_matrix`] says otherwise. Rotations by Euler angles are
-//! `Rz(yaw) Ry(pitch) Rx(roll)`. 3D rotation weights are per radian; see [`G2oRotation`].
+//! Matrices of g2o, of our own lines (which stand in g2o files) and of TORO are information; iSAM's
+//! are upper triangular square roots of it unless [`ReadOptions::isam_matrix`] says otherwise;
+//! PyFactorGraph's are covariances. Rotations by Euler angles are `Rz(yaw) Ry(pitch) Rx(roll)`. 3D
+//! rotation weights are per radian; see [`G2oRotation`], which speaks of `EDGE_SE3:QUAT` and
+//! `EDGE_SE3_PRIOR`. Other readers of g2o know nothing of our own lines:
+//! [`WriteOptions::plain`] leaves them out.
+//!
+//! PyFactorGraph's names are a letter and an index, `L` for landmarks where no VERTEX line says
+//! otherwise; a name's id is GTSAM's symbol, the letter in the top byte. Its VERTEX lines are ground
+//! truth, not an estimate ([`Document::vertices_are_truth`]).
 //!
 //! `EQUIV`, `BR`, `DATA_FEATURE_POINTXY`, `ROBOTLASER1`, `ODOM`, `FLASER` and `#` lines are passed
 //! over and counted; every other line is an error that names file and line, unless reading is
@@ -54,7 +89,8 @@
 //! ```
 //!
 //! References: R. Kümmerle et al., "g2o: A general framework for graph optimization" (2011);
-//! G. Grisetti et al., TORO; M. Kaess et al., "iSAM: Incremental smoothing and mapping" (2008).
+//! G. Grisetti et al., TORO; M. Kaess et al., "iSAM: Incremental smoothing and mapping" (2008);
+//! A. Papalia et al., PyFactorGraph.
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 

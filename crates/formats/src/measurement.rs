@@ -99,25 +99,25 @@ impl Measurement {
 }
 
 impl Quantity {
-    /// What it is, in words.
+    /// What such measurements are, in words: `ranges`.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Prior => "a prior",
-            Self::Position => "a position (GPS)",
-            Self::AntennaPosition => "the position of an antenna (GPS)",
-            Self::Depth => "a depth",
-            Self::Heading => "a heading",
-            Self::RollPitch => "a roll and pitch",
-            Self::Attitude => "an attitude",
-            Self::PlanarMotion => "a plane of motion",
-            Self::Between => "a difference of points",
-            Self::Range => "a range",
-            Self::Bearing => "a bearing",
-            Self::BearingRange => "a bearing and range",
-            Self::DepthDifference => "a difference of depths",
-            Self::HeadingDifference => "a difference of headings",
-            Self::TranslationDifference => "a difference of positions",
-            Self::Partial => "a part of a relative pose",
+            Self::Prior => "priors",
+            Self::Position => "positions (GPS)",
+            Self::AntennaPosition => "positions of antennas (GPS)",
+            Self::Depth => "depths",
+            Self::Heading => "headings",
+            Self::RollPitch => "rolls and pitches",
+            Self::Attitude => "attitudes",
+            Self::PlanarMotion => "planes of motion",
+            Self::Between => "differences of points",
+            Self::Range => "ranges",
+            Self::Bearing => "bearings",
+            Self::BearingRange => "bearings and ranges",
+            Self::DepthDifference => "differences of depths",
+            Self::HeadingDifference => "differences of headings",
+            Self::TranslationDifference => "differences of positions",
+            Self::Partial => "parts of relative poses",
         }
     }
 

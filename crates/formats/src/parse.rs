@@ -236,7 +236,7 @@ impl Parser<'_> {
             // tags with names for ids are PyFactorGraph's.
             let has_names = rest.split_ascii_whitespace().take(2).any(names::looks_like_one);
             let excluded = if has_names { Dialect::G2o } else { Dialect::Pyfg };
-            let fitting = named().filter(|tag| tag.dialect != excluded).last();
+            let fitting = named().rfind(|tag| tag.dialect != excluded);
             return Ok(fitting.unwrap_or(first));
         };
         if let Some(tag) = named().find(|tag| tag.dialect == dialect) {

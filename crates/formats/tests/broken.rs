@@ -148,6 +148,122 @@ broken!(
     "…"
 );
 
+/// Each of these lines after good ones in space and in the plane is an error that says so.
+#[test]
+fn factors_that_cannot_be_are_named() {
+    let good = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_XY 2 0 0\n\
+                VERTEX_SE3:QUAT 10 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 11 0 0 0 0 0 0 1\n\
+                PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\nGEODETIC_ORIGIN 48 11 0\n";
+    for (line, word) in [
+        ("EDGE_PRIOR_SE2 0 1 2 3 1 0 0 1 0", "9 fields"),
+        ("EDGE_PRIOR_SE2 10 1 2 3 1 0 0 1 0 1", "2D pose"),
+        ("EDGE_PRIOR_SE2 5 1 2 3 1 0 0 1 0 1", "vertex 5"),
+        ("EDGE_PRIOR_SE2 0 1 2 3 1 2 0 1 0 1", "semi-definite"),
+        ("EDGE_PRIOR_SE2 0 1 2 3 1 0 0 1 0 x", "field 10 (I33)"),
+        ("EDGE_SE3_PRIOR 10 3 0 0 0 0 0 0 1 1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1", "offset 3"),
+        (
+            "EDGE_SE3_PRIOR 10 0 0 0 0 0 0 0 0 1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1",
+            "quaternion",
+        ),
+        ("EDGE_SE3_XYZ_PRIOR 10 1 2 3 1 0 0 1 0", "10 or 11"),
+        ("EDGE_SE3_XYZ_PRIOR 10 1 2 3 1 0 0 1 0 x", "field 10 (I33)"),
+        ("EDGE_SE3_XYZ_PRIOR 10 0 1 2 y 1 0 0 1 0 1", "field 5 (z)"),
+        ("EDGE_SE3_XYZ_PRIOR 10 4 1 2 3 1 0 0 1 0 1", "offset 4"),
+        ("EDGE_BEARING_SE2_XY 0 1 0.5 1", "2D landmark"),
+        ("EDGE_POINTXY 2 2 0 0 1 0 1", "itself"),
+        ("FACTOR_RANGE_SE2 0 1 -0.1 1", "range of the FACTOR_RANGE_SE2 line is -0.1"),
+        ("FACTOR_RANGE_SE2 0 0 0.1 1", "itself"),
+        ("FACTOR_RANGE_SE2 0 1 0.1 -1", "semi-definite"),
+        ("FACTOR_BEARING_RANGE_SE2_XY 0 2 1 -1 1 0 1", "range"),
+        ("FACTOR_BEARING_SE3 10 11 0 0 0 1 0 1", "direction"),
+        ("FACTOR_ATTITUDE_SE3 10 0 0 1 0 0 0 1 0 1", "measured direction"),
+        ("FACTOR_ATTITUDE_SE3 10 0 0 0 0 0 1 1 0 1", "world direction"),
+        ("FACTOR_DEPTH_SE3 0 1 1", "3D pose"),
+        ("FACTOR_PARTIAL_SE2 0 1 0 0 0 0", "field 3 (k)"),
+        ("FACTOR_PARTIAL_SE2 0 1 4 0 0 0", "from 1 to 3"),
+        ("FACTOR_PARTIAL_SE2 0 1 18446744073709551615 0 0 0", "from 1 to 3"),
+        ("FACTOR_PARTIAL_SE2 0 1 1 0 0 0 1 z 0 1", "field 8 (A)"),
+        ("FACTOR_PARTIAL_SE2 0 1 2 0 0 0 1 0 0 0 1 0 1 0", "14 fields"),
+        ("FACTOR_LINEAR up 1 XY 2 0 0 1 1 1 0 0", "none, root, inverse_root"),
+        ("FACTOR_LINEAR none 0", "(n)"),
+        ("FACTOR_LINEAR none 9999999999999 XY 2 0 0 1 1 1 0 0", "(n)"),
+        ("FACTOR_LINEAR none 1 SIM3 2 0 0 1 1 1 0 0", "SE2, SE3, XY, XYZ"),
+        ("FACTOR_LINEAR none 1 XY 2 0 0 9999999999 1 1 0 0", "(q)"),
+        ("FACTOR_LINEAR none 1 XY 2 0 0 0 0 0", "(q)"),
+        ("FACTOR_LINEAR none 1 XY 2 0 0 1 1 1 0", "10 fields"),
+        ("FACTOR_LINEAR none 1 XY 2 0 0 1 1 1 0 0 0", "12 fields"),
+        ("FACTOR_LINEAR none 1 XY 2 0 0 1 nan 1 0 0", "(G)"),
+        ("FACTOR_LINEAR none 1 XY 2 0 0 1 1 1 0 b", "(d')"),
+        ("FACTOR_LINEAR root 1 XY 2 0 0 1 1 1 0 0", "no pose"),
+        ("FACTOR_LINEAR none 1 XY 0 0 0 1 1 1 0 0", "2D landmark"),
+        ("FACTOR_LINEAR none 2 XY 2 0 0 XY 2 0 0 1 1 1 1 1 0 0 0 0", "itself"),
+        ("GEODETIC_ORIGIN 48 11 0", "line 7"),
+        ("GEODETIC_ORIGIN 91 11 0", "latitude"),
+        ("GEODETIC_ORIGIN 48 inf 0", "longitude"),
+        ("ROBUST", "kernel"),
+        ("ROBUST huber 1.345", "threshold"),
+        ("ROBUST huber 0 FACTOR_RANGE_SE2 0 1 1 1", "threshold"),
+        ("ROBUST huber x FACTOR_RANGE_SE2 0 1 1 1", "`x`"),
+        ("ROBUST cauchy 1 FACTOR_RANGE_SE2 0 1 1 1", "huber and pseudo_huber"),
+        ("ROBUST huber 1 FIX 0", "no factor"),
+        ("ROBUST huber 1 VERTEX_SE2 7 0 0 0", "no factor"),
+        ("ROBUST huber 1 ROBUST huber 1 FACTOR_RANGE_SE2 0 1 1 1", "`ROBUST`"),
+        ("ROBUST huber 1 EQUIV 1 2", "`EQUIV`"),
+        ("ROBUST huber 1 FACTOR_RANGE_SE2 0 1 x 1", "field 3 (range)"),
+    ] {
+        let text = format!("{good}{line}\n");
+        let message = strict(text.as_bytes()).unwrap_err().to_string();
+        assert!(message.starts_with("f.g2o:8: "), "{line}: {message}");
+        assert!(message.contains(word), "{line}: {message}");
+        assert_eq!(lenient(text.as_bytes()).unwrap().summary().skipped, 1, "{line}");
+    }
+}
+
+#[test]
+fn linear_factors_may_be_long() {
+    // 600 columns and rows make 2.5 MB.
+    let points: String = (0..200).map(|id| format!(" SE2 {id} 0 0 0")).collect();
+    let line = |tag: &str, numbers: usize| {
+        format!("{tag} none 200{points} 600{}\n", " 0.25".repeat(numbers))
+    };
+    let vertices: String = (0..200).map(|id| format!("VERTEX_SE2 {id} 0 0 0\n")).collect();
+    for tag in ["FACTOR_LINEAR", "ROBUST huber 1 FACTOR_LINEAR"] {
+        let text = format!("{vertices}{}", line(tag, 600 * 601));
+        let document = strict(text.as_bytes()).unwrap();
+        let mut out = Vec::new();
+        document.write(&mut out, Dialect::G2o).unwrap();
+        assert!(out == text.as_bytes());
+    }
+    let text = format!("{vertices}{}", line("FACTOR_LONG", 600 * 601));
+    assert!(matches!(strict(text.as_bytes()), Err(FormatError::LineTooLong { .. })));
+}
+
+#[test]
+fn toro_may_list_its_edges_first() {
+    let (edge, vertices) = ("EDGE2 0 1 1 0 0 4 0 4 9 0 0\n", "VERTEX2 0 0 0 0\nVERTEX2 1 1 0 0\n");
+    let text = format!("{edge}{vertices}");
+    for result in [strict(text.as_bytes()), lenient(text.as_bytes())] {
+        // What cannot be read again is refused, leniently or not.
+        let error = result.unwrap_err();
+        assert!(matches!(error, FormatError::EdgesBeforeVertices { first: 1, .. }), "{error}");
+        assert!(error.to_string().starts_with("f.g2o:2: "), "{error}");
+    }
+    let path = std::env::temp_dir().join(format!("edges-first-{}.graph", std::process::id()));
+    std::fs::write(&path, &text).unwrap();
+    for lenient in [false, true] {
+        let options = ReadOptions { lenient, ..ReadOptions::default() };
+        let document = Document::read(&path, &options).unwrap();
+        assert_eq!((document.dialect(), document.summary().skipped), (Dialect::Toro, 0));
+        assert_eq!(document.records().len(), 3);
+    }
+    std::fs::remove_file(&path).unwrap();
+    // A tag of iSAM alone has settled it before.
+    let text = format!("ODOMETRY 0 1 1 0 0 4 0 0 4 0 4\n{edge}{vertices}");
+    let error = strict(text.as_bytes()).unwrap_err();
+    assert!(matches!(error, FormatError::MixedDialects { .. }), "{error}");
+    assert_eq!(lenient(text.as_bytes()).unwrap().dialect(), Dialect::Isam);
+}
+
 #[test]
 fn nothing_is_an_error() {
     for text in ["", "\n", "  \r\n\n", "# only a comment\n", "EQUIV 1 2\n"] {
@@ -221,4 +337,5 @@ fn listed_lines_are_bounded_and_counted() {
     let text = GOOD.to_string() + &"nonsense\n".repeat(5000);
     let document = lenient(text.as_bytes()).unwrap();
     assert_eq!((document.summary().skipped, document.skipped().len()), (5000, 1000));
+    assert!(document.summary().warnings()[0].contains("the first 1000"));
 }

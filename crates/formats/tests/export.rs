@@ -64,16 +64,21 @@ impl World {
             1 => root = DMatrix::from_diagonal(&root.diagonal()),
             _ => {}
         }
-        Noise::from_sqrt_information(&root).unwrap()
+        Noise::from_sqrt_information(&root).expect("the numbers are finite")
     }
 
     fn add<F: Factor>(&mut self, factor: Result<F, evergraph_factors::FactorError>) {
-        let factor = factor.unwrap();
-        match self.rng.random_range(0..4) {
-            0 => self.change.add_factor(Robust::new(factor, Kernel::huber(1.345).unwrap())),
-            1 => self.change.add_factor(Robust::new(factor, Kernel::pseudo_huber(0.7).unwrap())),
-            _ => self.change.add_factor(factor),
+        let factor = factor.expect("the factor is good");
+        let kernel = match self.rng.random_range(0..4) {
+            0 => Kernel::huber(1.345),
+            1 => Kernel::pseudo_huber(0.7),
+            _ => {
+                self.change.add_factor(factor);
+                return;
+            }
         };
+        let kernel = kernel.expect("the threshold is positive");
+        self.change.add_factor(Robust::new(factor, kernel));
     }
 }
 
@@ -194,7 +199,7 @@ fn everything(seed: u64, singular: bool) -> (Graph, Values) {
     }
     let data: Vec<f64> =
         w.change.new_variables().iter().flat_map(|(_, value)| value.storage().to_vec()).collect();
-    let staged = graph.stage(&w.change).unwrap();
+    let staged = graph.stage(&w.change).expect("the change fits");
     graph.commit(staged);
     let values = Values::from_arena(&graph, &data);
     (graph, values)
@@ -217,7 +222,7 @@ fn residuals(graph: &Graph, value: impl Fn(VariableId) -> Value) -> Vec<(Vec<u64
 fn written(document: &Document) -> String {
     let mut text = Vec::new();
     document.write(&mut text, Dialect::G2o).unwrap_or_else(|error| panic!("{error}"));
-    String::from_utf8(text).unwrap()
+    String::from_utf8(text).expect("text is UTF-8")
 }
 
 #[test]
@@ -290,7 +295,7 @@ fn of_one<V: Manifold>(
     let mut change = graph.change();
     let key = change.add_variable(value);
     change.add_shared_factor(factor(key));
-    let staged = graph.stage(&change).unwrap();
+    let staged = graph.stage(&change).expect("the change fits");
     graph.commit(staged);
     let values = Values::from_arena(&graph, Value::new(value).storage());
     (graph, values)

@@ -4,7 +4,7 @@ mod common;
 
 use evergraph_formats::{
     Coordinates, Dialect, Document, EntryOrder, FormatError, G2oRotation, Initial, ReadOptions,
-    Record, Replay, ReplayOptions, WeightKind,
+    Record, Replay, ReplayOptions, WeightKind, WriteOptions,
 };
 use evergraph_model::{Graph, Kernel, Pose2, Value};
 
@@ -115,6 +115,84 @@ fn landmarks_in_space_get_an_offset_and_ids_of_their_own_in_g2o() {
     assert!(text.contains("EDGE_SE3_TRACKXYZ 1 8 0 1 2 3 1 0 0 1 0 1\n"), "{text}");
     assert!(text.contains("EDGE_SE3_TRACKXYZ 1 7 0 1 2 3 1 0 0 1 0 1\n"), "{text}");
     parse(&text);
+}
+
+#[test]
+fn other_readers_get_what_they_know() {
+    let document = parse(common::lines::G2O);
+    let mut text = Vec::new();
+    let options = WriteOptions { plain: true };
+    let summary = document.write_with(&mut text, Dialect::G2o, &options).unwrap();
+    let text = String::from_utf8(text).unwrap();
+    assert!(!["FACTOR_", "GEODETIC", "ROBUST"].iter().any(|own| text.contains(own)), "{text}");
+    assert_eq!((summary.left_out["GEODETIC_ORIGIN"], summary.left_out["ROBUST"]), (1, 1));
+    assert_eq!((summary.left_out["FACTOR_LINEAR"], summary.left_out["FACTOR_RANGE_SE2"]), (4, 2));
+    let left_out: usize = summary.left_out.values().sum();
+    assert_eq!(summary.lines + left_out - 1, document.lines().len());
+    assert_eq!(text.lines().count(), summary.lines);
+    // The line that stood under a kernel is there without it.
+    assert!(text.contains("\nEDGE_SE2 1 0 0.1 0.2 0.3 1 0 0 1 0 1\n"), "{text}");
+    assert_eq!(parse(&text).summary().vertices, document.summary().vertices);
+    let all = document.write(&mut Vec::new(), Dialect::G2o).unwrap();
+    assert_eq!((all.lines, all.left_out.len()), (document.lines().len(), 0));
+}
+
+#[test]
+fn vertices_alone_are_no_isam_file() {
+    let document = parse("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0 0 0\n");
+    let mut out = Vec::new();
+    let error = document.write(&mut out, Dialect::Isam).unwrap_err();
+    assert!(matches!(error, FormatError::NothingToWrite { .. }) && out.is_empty(), "{error}");
+}
+
+#[test]
+fn each_factor_is_refused_where_it_does_not_fit() {
+    let all: Vec<&str> = common::lines::G2O.lines().collect();
+    let frame: Vec<&str> = all
+        .iter()
+        .copied()
+        .filter(|l| l.starts_with("VERTEX") || l.starts_with("PARAMS"))
+        .collect();
+    for line in all.iter().filter(|line| !frame.contains(line)) {
+        if ["EDGE_SE2", "EDGE_SE3:", "EDGE_SE3_TRACK"].iter().any(|tag| line.starts_with(tag)) {
+            continue;
+        }
+        let document = parse(&format!("{}\n{line}\n", frame.join("\n")));
+        for dialect in [Dialect::Isam, Dialect::Pyfg] {
+            let holds = dialect == Dialect::Pyfg
+                && [
+                    "EDGE_PRIOR_SE2 ",
+                    "EDGE_SE3_PRIOR",
+                    "EDGE_PRIOR_XY",
+                    "EDGE_POINTXYZ_P",
+                    "FACTOR_RANGE",
+                ]
+                .iter()
+                .any(|tag| line.starts_with(tag));
+            match document.write(&mut Vec::new(), dialect) {
+                Ok(_) => assert!(holds, "{line} in {dialect}"),
+                Err(error) => {
+                    assert!(!holds && matches!(error, FormatError::Unsupported { .. }), "{error}");
+                    assert!(error.to_string().contains("files cannot hold "), "{error}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn half_angles_are_those_of_poses_only() {
+    let text =
+        format!("PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\nEDGE_SE3_PRIOR 0 0 1 0 0 0 0 0 1 {UPPER}\n");
+    let options = ReadOptions { g2o_rotation: G2oRotation::Quaternion, ..ReadOptions::default() };
+    let document = Document::parse("text", text.as_bytes(), &options).unwrap();
+    assert_eq!(written(&document, Dialect::G2o), text);
+    let pyfg = written(&document, Dialect::Pyfg);
+    // Information 4, 5, 6 of half angles is 1, 1.25, 1.5 of angles.
+    let last: Vec<f64> = pyfg.split_whitespace().map(|w| w.parse().unwrap_or(0.0)).collect();
+    let last = &last[last.len() - 6..];
+    let expected = [1.0, 0.0, 0.0, 0.8, 0.0, 1.0 / 1.5];
+    assert!(last.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-15), "{pyfg}");
 }
 
 #[test]

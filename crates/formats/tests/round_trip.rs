@@ -4,23 +4,49 @@ mod common;
 
 use std::collections::BTreeMap;
 
-use evergraph_formats::{Coordinates, Dialect, Document, FormatError, Record, Weight};
+use evergraph_formats::{Coordinates, Dialect, Document, FormatError, Line, Record, Weight};
 
-/// Everything that a record holds, with numbers as bits.
-fn bits(record: &Record) -> (String, Vec<u64>, Vec<u64>) {
-    let of = |at: &Coordinates| at.numbers().iter().map(|x| x.to_bits()).collect::<Vec<_>>();
-    let entries = |w: &Weight| w.entries.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
-    match record {
-        Record::Vertex { id, at } => (format!("vertex {id} {:?}", at.kind()), of(at), vec![]),
-        Record::SensorOffset { id, at } => (format!("offset {id}"), of(at), vec![]),
-        Record::Fix { id } => (format!("fix {id}"), vec![], vec![]),
-        Record::Edge { from, to, measurement, weight, parameter } => (
-            format!("edge {from} {to} {parameter:?} {:?} {:?}", weight.kind, weight.order),
-            of(measurement),
-            entries(weight),
-        ),
-        other => (format!("{other:?}"), vec![], vec![]),
-    }
+/// Everything that a line holds but its number, with numbers as bits.
+fn bits(line: &Line) -> (String, Vec<u64>) {
+    let mut all: Vec<f64> = Vec::new();
+    let mut weigh = |w: &Weight| {
+        all.extend(w.entries.iter());
+        format!("{:?} {:?}", w.kind, w.order)
+    };
+    let what = match &line.record {
+        Record::Vertex { id, at } => {
+            all.extend(at.numbers());
+            format!("vertex {id} {:?}", at.kind())
+        }
+        Record::SensorOffset { id, at } => {
+            all.extend(at.numbers());
+            format!("offset {id}")
+        }
+        Record::Fix { id } => format!("fix {id}"),
+        Record::Edge { from, to, measurement, weight, parameter } => {
+            let weight = weigh(weight);
+            all.extend(measurement.numbers());
+            format!("edge {from} {to} {parameter:?} {weight}")
+        }
+        Record::Measurement(m) => {
+            let weight = weigh(&m.weight);
+            all.extend(&m.numbers);
+            format!("{:?} {:?} {:?} {weight}", m.quantity, m.ends, m.parameter)
+        }
+        Record::Linear(linear) => {
+            linear.points.iter().for_each(|(_, at)| all.extend(at.numbers()));
+            all.extend(linear.sqrt_information.iter().chain(&linear.offset));
+            let ids: Vec<_> = linear.points.iter().map(|(id, at)| (id, at.kind())).collect();
+            format!("{ids:?} {:?} {}", linear.root_shift, linear.rows)
+        }
+        Record::GeodeticOrigin { latitude, longitude, height } => {
+            all.extend([latitude, longitude, height]);
+            "origin".into()
+        }
+    };
+    all.extend(line.time().iter().chain(&line.kernel().map(|kernel| kernel.threshold())));
+    let kernel = line.kernel().map(|kernel| kernel.name());
+    (format!("{what} {kernel:?}"), all.into_iter().map(f64::to_bits).collect())
 }
 
 fn write(document: &Document, dialect: Dialect) -> Result<Vec<u8>, FormatError> {
@@ -32,13 +58,13 @@ fn write(document: &Document, dialect: Dialect) -> Result<Vec<u8>, FormatError> 
 #[test]
 fn equal_dialects_give_equal_bits_on_every_graph() {
     let Some(data) = common::data("equal_dialects_give_equal_bits_on_every_graph") else { return };
-    for path in common::graph_files(&data) {
+    for path in common::all_graph_files(&data) {
         let document = common::read(&path);
         let text = write(&document, document.dialect()).unwrap();
         let again = Document::parse("again", text.as_slice(), &common::options(&path)).unwrap();
         assert_eq!(document.dialect(), again.dialect(), "{}", path.display());
         assert_eq!(document.records().len(), again.records().len(), "{}", path.display());
-        for (before, after) in document.records().zip(again.records()) {
+        for (before, after) in document.lines().iter().zip(again.lines()) {
             assert_eq!(bits(before), bits(after), "{}", path.display());
         }
         assert_eq!(text, write(&again, again.dialect()).unwrap(), "{}", path.display());
@@ -68,6 +94,9 @@ fn every_graph_is_what_the_readme_says() {
         ("pose3d/sphere_mednoise.graph", (2200, 0, 8647, 0)),
         ("pose3d/parking-garage.g2o", (1661, 0, 6275, 0)),
         ("pose3d/example_with_vertices.g2o", (8, 8, 0, 0)),
+        ("range/plaza1.pyfg", (9658, 4, 9657, 0)),
+        ("range/mrclam5a.pyfg", (1080, 15, 1075, 1127)),
+        ("range/single_drone.pyfg", (1754, 1, 1753, 0)),
         ("pose3d/multirobot/blocks_world_4robots_fullGraph.g2o", (64, 0, 144, 0)),
     ]
     .into();
@@ -89,7 +118,9 @@ fn every_graph_is_what_the_readme_says() {
 #[test]
 fn edges_to_poses_of_other_robots_are_named() {
     let Some(data) = common::data("edges_to_poses_of_other_robots_are_named") else { return };
-    for path in common::graph_files(&data).iter().filter(|path| common::names_foreign_poses(path)) {
+    for path in
+        common::all_graph_files(&data).iter().filter(|path| common::names_foreign_poses(path))
+    {
         let strict = evergraph_formats::ReadOptions::default();
         let error = Document::read(path, &strict).unwrap_err();
         assert!(matches!(error, FormatError::MissingVertex { .. }), "{error}");
@@ -109,12 +140,12 @@ fn graphs_survive_a_detour_through_another_dialect() {
     let Some(data) = common::data("graphs_survive_a_detour_through_another_dialect") else {
         return;
     };
-    for path in common::graph_files(&data) {
+    for path in common::all_graph_files(&data) {
         let document = common::read(&path);
         if path.ends_with("victoria_park_gtsam.txt") {
             continue; // Covariances come back as square roots, iSAM's own kind.
         }
-        for detour in [Dialect::G2o, Dialect::Toro, Dialect::Isam] {
+        for detour in [Dialect::G2o, Dialect::Toro, Dialect::Isam, Dialect::Pyfg] {
             let text = match write(&document, detour) {
                 Ok(text) => text,
                 Err(FormatError::Unsupported { dialect, .. }) => {
@@ -158,13 +189,17 @@ fn assert_close(a: &Record, b: &Record, what: &str) {
     else {
         panic!("{what}: {a:?} {b:?}");
     };
-    assert_eq!((from, measurement.kind()), (f, m.kind()), "{what}");
+    // A detour through names puts a letter into the top byte.
+    let index = |id: u64| id & (u64::MAX >> 8);
+    assert_eq!((index(*from), measurement.kind()), (index(*f), m.kind()), "{what}");
     if measurement.kind().is_pose() {
-        assert_eq!(to, t, "{what}"); // Landmarks of the torus are numbered anew in g2o.
+        assert_eq!(index(*to), index(*t), "{what}"); // Landmarks of the torus are numbered anew in g2o.
     }
+    // Inverting twice loses what is between the largest and the smallest eigenvalue.
+    let loss = if what.ends_with("PyFactorGraph") { 1e-6 } else { 1e-9 };
     let scale = weight.entries.iter().fold(0.0_f64, |s, x| s.max(x.abs()));
     for (x, y) in weight.entries.iter().zip(&w.entries) {
-        assert!((x - y).abs() <= 1e-9 * scale, "{what}: {a:?} {b:?}");
+        assert!((x - y).abs() <= loss * scale, "{what}: {a:?} {b:?}");
     }
     let (x, y) = (measurement.numbers(), m.numbers());
     let near = |x: &[f64], y: &[f64]| {

@@ -24,9 +24,17 @@ pub fn data(test: &str) -> Option<PathBuf> {
 
 /// Graphs of the folders `pose2d`, `pose3d`, `landmark` and `laser2d`, sorted.
 pub fn graph_files(data: &Path) -> Vec<PathBuf> {
+    files_of(data, &["pose2d", "pose3d", "landmark", "laser2d"])
+}
+
+/// Those, and the PyFactorGraph files of the folder `range`.
+pub fn all_graph_files(data: &Path) -> Vec<PathBuf> {
+    files_of(data, &["pose2d", "pose3d", "landmark", "laser2d", "range"])
+}
+
+fn files_of(data: &Path, names: &[&str]) -> Vec<PathBuf> {
     let mut files = Vec::new();
-    let mut folders: Vec<PathBuf> =
-        ["pose2d", "pose3d", "landmark", "laser2d"].iter().map(|name| data.join(name)).collect();
+    let mut folders: Vec<PathBuf> = names.iter().map(|name| data.join(name)).collect();
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(&folder).expect("the data folder can be listed") {
             let path = entry.expect("the data folder can be listed").path();
