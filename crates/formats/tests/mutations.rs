@@ -131,6 +131,27 @@ fn some_lines(whole: &str, rng: &mut ChaCha8Rng) -> Vec<u8> {
     text.into_bytes()
 }
 
+#[test]
+fn files_cut_anywhere_do_not_panic() {
+    for text in common::lines::ALL {
+        (0..text.len()).step_by(5).for_each(|end| exercise(&text.as_bytes()[..end]));
+    }
+}
+
+#[test]
+fn line_ends_and_marks_of_other_systems_are_white_space() {
+    for text in common::lines::ALL {
+        let read = |text: &str| {
+            let document =
+                Document::parse("text", text.as_bytes(), &ReadOptions::default()).unwrap();
+            document.lines().iter().map(|line| format!("{:?}", line.record)).collect::<Vec<_>>()
+        };
+        assert_eq!(read(text), read(&format!("\u{feff}{}", text.replace('\n', "\r\n"))));
+        assert_eq!(read(text), read(&text.replace(' ', "  ").replace('\n', " \n\n")));
+        assert_eq!(read(text), read(text.trim_end()));
+    }
+}
+
 /// How many mutants of small graphs there are: 6000, or what `EVERGRAPH_MUTANTS` says.
 fn rounds() -> usize {
     let asked = std::env::var("EVERGRAPH_MUTANTS").ok();
