@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use clap::CommandFactory;
 use clap::error::ErrorKind;
 use evergraph::evaluate::EvaluateError;
-use evergraph::formats::{Document, FormatError, TrajectoryError};
+use evergraph::formats::{Document, FormatError, TrajectoryError, spell_id};
 use evergraph::simulate::WorldError;
 use evergraph::solver::Singular;
 use evergraph::{Component, Overview, ReplayerError, SmootherError};
@@ -23,7 +23,7 @@ pub(crate) enum Error {
         "{file}: with `--prior none` nothing says where the connected component of pose {} lies \
          ({} poses, {} landmarks). Leave `--prior` out, or give it a standard deviation. \
          In full: {details}",
-        component.first, component.poses, component.landmarks
+        spell_id(component.first), component.poses, component.landmarks
     )]
     NoGauge { file: String, component: Component, details: String },
     /// The file is bad.

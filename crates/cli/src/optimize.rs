@@ -12,7 +12,7 @@ use crate::error::Error;
 use crate::options::{Common, Reading, Solving, StartFrom};
 use crate::output::Output;
 use crate::outputs::Outputs;
-use crate::replay::unsolvable;
+use crate::replay::{unsolvable, warn_of_landmarks};
 use crate::report::{self, Report, Run, Status, Times};
 use crate::table::number;
 
@@ -168,6 +168,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     report.add("gradient_norm", batch.gradient_norm);
     outputs.write(&replayer, &document, &report, None, output)?;
     report.save(common.report.as_deref())?;
+    warn_of_landmarks(&replayer, output);
     let mut rows = report.table(&format!("{words} after {} iterations", batch.iterations));
     rows.add("initial error", initial_error.map_or_else(String::new, number));
     rows.add("gradient norm", format!("{:.3e} (largest component of J^T r)", batch.gradient_norm));

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use evergraph::formats::Document;
+use evergraph::formats::{Document, spell_id};
 use evergraph::solver::{BatchReport, BatchSettings, Settings, Status as BatchStatus};
 use evergraph::{Replayer, SmootherError};
 use serde_json::json;
@@ -256,13 +256,32 @@ fn warn(replayer: &Replayer, driven: &Driven, output: Output) {
             driven.refused
         ));
     }
+    warn_of_landmarks(replayer, output);
+    for prior in replayer.replay().gauge_priors() {
+        let why = if prior.fixed { "FIX" } else { "first of its component" };
+        info!("gauge prior on pose {} ({why}), sigma {}", spell_id(prior.id), prior.sigma);
+    }
+}
+
+/// Landmarks that are not in the map.
+pub(crate) fn warn_of_landmarks(replayer: &Replayer, output: Output) {
+    const LISTED: usize = 5;
     let unseen = replayer.replay().unseen_landmarks();
     if unseen > 0 {
         output.warn(&format!("{unseen} landmarks that no pose sees were left out"));
     }
-    for prior in replayer.replay().gauge_priors() {
-        let why = if prior.fixed { "FIX" } else { "first of its component" };
-        info!("gauge prior on pose {} ({why}), sigma {}", prior.id, prior.sigma);
+    let held: Vec<u64> = replayer.replay().held_back_ids().collect();
+    if !held.is_empty() {
+        let mut names: Vec<String> = held.iter().take(LISTED).map(|id| spell_id(*id)).collect();
+        if held.len() > LISTED {
+            names.push("...".into());
+        }
+        let (count, names) = (held.len(), names.join(", "));
+        let were = if count == 1 { "landmark was" } else { "landmarks were" };
+        output.warn(&format!(
+            "{count} {were} held back and left out, because what was measured does not place it (a \
+             single bearing, ranges from one line): {names}"
+        ));
     }
 }
 

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
+use evergraph::formats::spell_id;
 use evergraph::{Objective, Replayer};
 use serde::Serialize;
 use serde_json::{Map, Value};
@@ -69,6 +70,9 @@ struct Gauge {
     /// The first of them, by its id in the file.
     variable: u64,
     sigmas: Vec<f64>,
+    /// How many directions of it are held; fewer than sigmas where measurements of the world hold
+    /// the rest.
+    directions: usize,
     /// Of all of them.
     error: f64,
     /// One for each connected component, or for each FIX.
@@ -95,6 +99,8 @@ pub(crate) struct Report {
     factor_nnz: usize,
     fill_percent: f64,
     peak_rss_mb: Option<f64>,
+    /// Landmarks left out because what was measured does not place them.
+    held_back: usize,
     pub(crate) status: Status,
     /// What only this subcommand has.
     #[serde(flatten)]
@@ -129,6 +135,7 @@ impl Report {
         let gauge_prior = priors.first().map(|first| Gauge {
             variable: first.id,
             sigmas: vec![first.sigma; graph.dim_at(first.variable.index())],
+            directions: first.directions,
             error: replayer.gauge_error(),
             variables: priors.iter().map(|prior| prior.id).collect(),
             fixed: first.fixed,
@@ -155,6 +162,7 @@ impl Report {
             factor_nnz: size.nonzeros,
             fill_percent: size.fill_percent(),
             peak_rss_mb: run.peak_rss_mb,
+            held_back: replay.held_back(),
             status: run.status,
             extra: Map::new(),
         }
@@ -229,12 +237,16 @@ impl Report {
 impl Gauge {
     fn describe(&self) -> String {
         let on = match self.variables.as_slice() {
-            [one] => format!("pose {one}"),
-            many => format!("{} poses, pose {} first", many.len(), self.variable),
+            [one] => format!("pose {}", spell_id(*one)),
+            many => format!("{} poses, pose {} first", many.len(), spell_id(self.variable)),
         };
         let why = if self.fixed { " (FIX)" } else { "" };
         let (sigma, error) = (number(self.sigmas[0]), number(self.error));
-        format!("on {on}{why}, sigma {sigma} m and rad, error {error} (not in the above)")
+        let part = match self.directions {
+            free if free < self.sigmas.len() => format!(", {free} free directions of it"),
+            _ => String::new(),
+        };
+        format!("on {on}{why}{part}, sigma {sigma} m and rad, error {error} (not in the above)")
     }
 }
 

@@ -4,7 +4,9 @@ use std::collections::{HashMap, HashSet};
 use std::time::{Duration, Instant};
 
 use evergraph_evaluate::Objective;
-use evergraph_formats::{Document, FormatError, Line, Record, Replay, ReplayOptions, Step};
+use evergraph_formats::{
+    Document, FormatError, Line, Record, Replay, ReplayOptions, Step, spell_id,
+};
 use evergraph_model::{FactorId, Graph, Value, VariableId};
 use evergraph_solver::{
     BatchSettings, Method, Reason, Report, Settings, Smoother, SmootherError, Status,
@@ -20,7 +22,7 @@ pub enum ReplayerError {
     #[error(transparent)]
     Format(#[from] FormatError),
     /// The smoother refused a step.
-    #[error("{file}, at pose {pose}: {message}")]
+    #[error("{file}, at pose {pose}: {message}", pose = spell_id(*pose))]
     Step {
         /// The file.
         file: String,

@@ -1,5 +1,6 @@
 //! Errors of the smoother in the words of a file: its ids instead of the graph's.
 
+use evergraph_formats::spell_id;
 use evergraph_model::VariableId;
 use evergraph_solver::{Singular, SmootherError};
 
@@ -8,9 +9,7 @@ const SHOWN: usize = 5;
 
 /// The error as a paragraph; `id` gives a variable's id in the file.
 pub(crate) fn explain(error: &SmootherError, id: &dyn Fn(VariableId) -> Option<u64>) -> String {
-    let name = |variable: VariableId| {
-        id(variable).map_or_else(|| variable.to_string(), |id| id.to_string())
-    };
+    let name = |variable: VariableId| id(variable).map_or_else(|| variable.to_string(), spell_id);
     match error {
         SmootherError::Singular(Singular::Component { examples, count, free }) => {
             let names: Vec<String> = examples.iter().map(|v| name(*v)).collect();

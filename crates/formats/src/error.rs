@@ -7,6 +7,7 @@ use std::sync::Arc;
 use evergraph_model::VariableId;
 use thiserror::Error;
 
+use crate::names::spell_id;
 use crate::options::Dialect;
 
 /// A line of a file.
@@ -247,7 +248,7 @@ pub enum FormatError {
     },
     /// An id that no PyFactorGraph name stands for.
     #[error(
-        "{file}: {id} cannot be written as a PyFactorGraph name, which is a letter (top byte of the id) and an index; number the variables below 2^56"
+        "{file}: {id} cannot be written as a PyFactorGraph name, which is a letter (top byte of the id) and an index; number the variables below 2^56", id = spell_id(*id)
     )]
     NoName {
         /// The file.
@@ -257,7 +258,7 @@ pub enum FormatError {
     },
     /// Two variables would have the same PyFactorGraph name.
     #[error(
-        "{file}: {id} and {other} would both be `{name}` in a PyFactorGraph file; renumber one"
+        "{file}: {id} and {other} would both be `{name}` in a PyFactorGraph file; renumber one", id = spell_id(*id), other = spell_id(*other)
     )]
     NameTaken {
         /// The file.
@@ -280,7 +281,7 @@ pub enum FormatError {
         dialect: Dialect,
     },
     /// A second VERTEX or PARAMS line for the same id.
-    #[error("{place}: {what} {id} was given before, in line {first}; keep one of the two lines")]
+    #[error("{place}: {what} {id} was given before, in line {first}; keep one of the two lines", id = spell_id(*id))]
     Duplicate {
         /// Where.
         place: Place,
@@ -293,7 +294,7 @@ pub enum FormatError {
     },
     /// An edge from a variable to itself.
     #[error(
-        "{place}: the edge leads from {id} to itself; an edge joins two variables, correct or remove the line"
+        "{place}: the edge leads from {id} to itself; an edge joins two variables, correct or remove the line", id = spell_id(*id)
     )]
     SelfEdge {
         /// Where.
@@ -303,7 +304,7 @@ pub enum FormatError {
     },
     /// An id without a VERTEX line in a file that has VERTEX lines, or that no line but FIX names.
     #[error(
-        "{place}: vertex {id} is not in the file; add its VERTEX line, or remove the line that names it"
+        "{place}: vertex {id} is not in the file; add its VERTEX line, or remove the line that names it", id = spell_id(*id)
     )]
     MissingVertex {
         /// Where.
@@ -323,7 +324,7 @@ pub enum FormatError {
     },
     /// A variable is used as something that it is not.
     #[error(
-        "{place}: {id} is used as a {used}, but elsewhere in the file it is a {actual}; poses and landmarks share one range of ids, so each id is one of them"
+        "{place}: {id} is used as a {used}, but elsewhere in the file it is a {actual}; poses and landmarks share one range of ids, so each id is one of them", id = spell_id(*id)
     )]
     WrongKind {
         /// Where.
@@ -408,7 +409,7 @@ pub enum FormatError {
         variable: VariableId,
     },
     /// An estimate for an id that the document does not have, or of another type.
-    #[error("{file}: the estimate given for {id} does not fit: {problem}")]
+    #[error("{file}: the estimate given for {id} does not fit: {problem}", id = spell_id(*id))]
     BadEstimate {
         /// The file.
         file: Arc<str>,
@@ -443,7 +444,7 @@ pub enum FormatError {
     },
     /// The caller has no estimate of a variable that the next one starts from.
     #[error(
-        "{place}: {id} starts from variable {variable}, of which there is no estimate; apply each step's change before the next step is asked for"
+        "{place}: {id} starts from variable {variable}, of which there is no estimate; apply each step's change before the next step is asked for", id = spell_id(*id)
     )]
     NoEstimate {
         /// Where.
@@ -455,7 +456,7 @@ pub enum FormatError {
     },
     /// A start value grows beyond all numbers.
     #[error(
-        "{place}: the start value of {id} is not finite; the measurements that lead to it are too large"
+        "{place}: the start value of {id} is not finite; the measurements that lead to it are too large", id = spell_id(*id)
     )]
     StartNotFinite {
         /// Where.

@@ -49,6 +49,21 @@ pub(crate) fn of(id: u64, kind: Kind) -> Option<String> {
     Some(format!("{}{index}", char::from(letter)))
 }
 
+/// An id for a reader: as the file's numbers have it and, if it is that of a name, the name.
+///
+/// ```
+/// assert_eq!(evergraph_formats::spell_id(17), "17");
+/// assert_eq!(evergraph_formats::spell_id(5_476_377_146_882_523_143), "L7 (5476377146882523143)");
+/// ```
+pub fn spell_id(id: u64) -> String {
+    match u8::try_from(id >> INDEX_BITS) {
+        Ok(letter) if letter.is_ascii_alphabetic() => {
+            format!("{}{} ({id})", char::from(letter), id & (u64::MAX >> (64 - INDEX_BITS)))
+        }
+        _ => id.to_string(),
+    }
+}
+
 /// Whether the id is that of no name, so that it gets one when it is written.
 pub(crate) fn is_new(id: u64) -> bool {
     id >> INDEX_BITS == 0

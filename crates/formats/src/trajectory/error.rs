@@ -5,6 +5,7 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use crate::error::{FormatError, Place};
+use crate::names::spell_id;
 
 /// Why a trajectory could not be read, made or written.
 #[derive(Debug, Error)]
@@ -84,7 +85,7 @@ pub enum TrajectoryError {
         name: Arc<str>,
     },
     /// An id was given twice.
-    #[error("{name}: pose {id} is given twice")]
+    #[error("{name}: pose {id} is given twice", id = spell_id(*id))]
     DuplicatePose {
         /// The trajectory.
         name: Arc<str>,
@@ -92,7 +93,7 @@ pub enum TrajectoryError {
         id: u64,
     },
     /// A pose is not finite.
-    #[error("{name}: pose {id} is not finite")]
+    #[error("{name}: pose {id} is not finite", id = spell_id(*id))]
     BadPose {
         /// The trajectory.
         name: Arc<str>,
@@ -100,7 +101,7 @@ pub enum TrajectoryError {
         id: u64,
     },
     /// A pose without a time among poses with times.
-    #[error("{name}: pose {id} has no time in {stamps}; give every pose one, or none")]
+    #[error("{name}: pose {id} has no time in {stamps}; give every pose one, or none", id = spell_id(*id))]
     NoTime {
         /// The trajectory.
         name: Arc<str>,
