@@ -225,8 +225,8 @@ impl Replayer {
         self.smoother.graph()
     }
 
-    /// The document with the estimates as its vertices; of a replay that was not finished, the part
-    /// that has come in.
+    /// The document with the estimates as its vertices; of a replay that was not finished, or that
+    /// holds landmarks back ([`Replay::held_back`]), the part that has come in.
     ///
     /// # Errors
     /// [`ReplayerError::Format`] when it is not the document that is replayed.

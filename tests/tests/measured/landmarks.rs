@@ -67,6 +67,35 @@ fn parallel_bearings_do_not_place_a_landmark() {
 }
 
 #[test]
+fn a_narrow_baseline_does_not_place_a_landmark() {
+    // From a metre apart, at 0.01 rad, 60 m ahead are known to 50.
+    let mut world = straight();
+    world.landmark2(50, 0.5, 60.0);
+    (0..2).for_each(|pose| world.bearing(pose, 50));
+    assert_eq!(world.replay().replay().held_back(), 1);
+    world.bearing(9, 50);
+    assert_eq!(arrival(&world, 50), Some(10));
+}
+
+#[test]
+fn ranges_that_contradict_each_other_place_nothing() {
+    let mut world = World::default();
+    world.drive2(0..30, Pose2::identity(), 0.2);
+    world.landmark2(50, 1.0, 4.0);
+    (0..30).for_each(|pose| world.range(pose, 50));
+    assert_eq!(world.replay().replay().held_back(), 0);
+    let mut measured = 0;
+    for line in &mut world.lines {
+        if let evergraph::formats::Record::Measurement(range) = &mut line.record {
+            // Fifteen standard deviations, to either side.
+            range.numbers[0] += if measured % 2 == 0 { 1.5 } else { -1.5 };
+            measured += 1;
+        }
+    }
+    assert_eq!((measured, world.replay().replay().held_back()), (30, 1));
+}
+
+#[test]
 fn bearings_that_do_not_meet_place_nothing() {
     // The second looks the other way.
     let mut world = straight();
@@ -90,9 +119,7 @@ fn bearings_that_do_not_meet_place_nothing() {
 fn ranges_from_along_a_line_fit_two_places() {
     let mut world = straight();
     world.landmark2(50, 4.0, 6.0);
-    (0..10).for_each(|pose| {
-        world.range(pose, 50);
-    });
+    (0..10).for_each(|pose| world.range(pose, 50));
     assert_eq!(world.replay().replay().held_back(), 1, "it may be on either side");
 
     // Pose 10 is off the line.
@@ -116,9 +143,7 @@ fn ranges_from_a_plane_fit_two_places() {
     }
     (1..5).for_each(|id| world.edge(id - 1, id));
     world.landmark3(50, 2.0, 1.0, 5.0);
-    (0..5).for_each(|pose| {
-        world.range(pose, 50);
-    });
+    (0..5).for_each(|pose| world.range(pose, 50));
     assert_eq!(world.replay().replay().held_back(), 1, "it may be above or below");
 
     let above = Pose3::new(LieGroup::identity(), Point3::new(0.0, 0.0, 4.0));
@@ -133,9 +158,7 @@ fn ranges_from_a_plane_fit_two_places() {
 fn a_landmark_starts_at_its_vertex_if_told_so() {
     let mut world = straight();
     world.landmark2(50, 4.0, 6.0);
-    (0..10).for_each(|pose| {
-        world.range(pose, 50);
-    });
+    (0..10).for_each(|pose| world.range(pose, 50));
     for truth in world.truth.clone() {
         let (id, at) = (truth.0, truth.1.coordinates());
         world.add(evergraph::formats::Record::Vertex { id, at });
@@ -151,7 +174,11 @@ fn a_landmark_starts_at_its_vertex_if_told_so() {
         let (id, at) = (truth.0, truth.1.coordinates());
         world.add(evergraph::formats::Record::Vertex { id, at });
     }
-    assert_eq!(world.batch(Initial::FromFile).replay().held_back(), 1, "it is still not determined");
+    assert_eq!(
+        world.batch(Initial::FromFile).replay().held_back(),
+        1,
+        "it is still not determined"
+    );
 }
 
 #[test]
@@ -172,8 +199,7 @@ fn bearing_and_range_together_place_a_landmark_at_once() {
         while let Some(done) = replayer.step().unwrap() {
             kinds.push(done.step.kind);
         }
-        let loops: Vec<usize> =
-            (0..10).filter(|&step| kinds[step] == StepKind::Loop).collect();
+        let loops: Vec<usize> = (0..10).filter(|&step| kinds[step] == StepKind::Loop).collect();
         assert_eq!(loops, [7]);
         world.check(&world.replay());
     }

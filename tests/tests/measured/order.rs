@@ -1,11 +1,9 @@
 //! What comes in when.
 
-use evergraph::factors::RootShift;
-use evergraph::formats::{
-    Initial, LinearMeasurement, Quantity, Record, Replay, ReplayOptions,
-};
-use evergraph::model::{Kernel, LieGroup, Point2, Point3, Pose2, Pose3, Rot3};
 use evergraph::Graph;
+use evergraph::factors::RootShift;
+use evergraph::formats::{Initial, LinearMeasurement, Quantity, Record, Replay, ReplayOptions};
+use evergraph::model::{Kernel, LieGroup, Point2, Point3, Pose2, Pose3, Rot3};
 
 use crate::world::{Truth, World, sigma};
 
@@ -37,7 +35,8 @@ fn a_measurement_comes_with_the_last_of_its_variables() {
     world.range(2, 0);
     world.measure(Quantity::Heading, &[3], &[0.6]);
     world.range(1, 3);
-    assert_eq!(lines(&world), [vec![], vec![1], vec![2, 4], vec![3, 5, 6]]);
+    world.measure(Quantity::Heading, &[0], &[0.0]);
+    assert_eq!(lines(&world), [vec![7], vec![1], vec![2, 4], vec![3, 5, 6]]);
 }
 
 #[test]
@@ -49,12 +48,14 @@ fn lines_with_times_come_in_their_order() {
     world.truth.insert(2, Truth::Pose2(Pose2::new(2.0, 0.0, 0.0)));
     for (from, to, time) in [(2, 0, 1.0), (0, 1, 2.0)] {
         world.edge(from, to);
-        world.lines.last_mut().unwrap().set_time(Some(time));
+        world.note(|line| line.set_time(Some(time)));
     }
-    world.range(0, 1).set_time(Some(3.0));
-    world.range(0, 2).set_time(Some(2.0));
+    world.range(0, 1);
+    world.note(|line| line.set_time(Some(3.0)));
+    world.range(0, 2);
+    world.note(|line| line.set_time(Some(2.0)));
     // Odometry of time 1 brings 0 and 2 in, that of time 2 pose 1; the ranges follow.
-    assert_eq!(lines(&world), [vec![], vec![1], vec![2, 4, 3]]);
+    assert_eq!(lines(&world), [vec![], vec![1], vec![2, 3, 4]]);
     let replayer = world.replay();
     let ids: Vec<u64> = replayer.replay().ids().map(|(id, _)| id).collect();
     assert_eq!(ids, [0, 2, 1]);
@@ -62,13 +63,29 @@ fn lines_with_times_come_in_their_order() {
 }
 
 #[test]
+fn odometry_goes_before_what_is_seen_at_the_same_time() {
+    let mut world = World::default();
+    world.drive2(0..2, Pose2::identity(), 0.2);
+    world.note(|line| line.set_time(Some(1.0)));
+    world.landmark2(50, 4.0, 6.0);
+    world.edge(1, 50);
+    world.note(|line| line.set_time(Some(1.0)));
+    world.lines.reverse();
+    let replayer = world.replay();
+    assert_eq!(replayer.replay().gauge_priors()[0].id, 0);
+    assert_eq!(replayer.replay().ids().map(|(id, _)| id).collect::<Vec<_>>(), [0, 1, 50]);
+}
+
+#[test]
 fn kernels_of_the_file_go_before_those_of_the_options() {
     let mut world = World::default();
     world.drive2(0..2, Pose2::identity(), 0.2);
     world.range(0, 1);
-    world.range(1, 0).set_kernel(Some(Kernel::pseudo_huber(2.0).unwrap()));
+    world.range(1, 0);
+    world.note(|line| line.set_kernel(Some(Kernel::pseudo_huber(2.0).unwrap())));
     world.position(1);
-    world.measure(Quantity::Heading, &[1], &[0.2]).set_kernel(Some(Kernel::huber(3.0).unwrap()));
+    world.measure(Quantity::Heading, &[1], &[0.2]);
+    world.note(|line| line.set_kernel(Some(Kernel::huber(3.0).unwrap())));
     let options =
         ReplayOptions { kernel: Some(Kernel::huber(1.0).unwrap()), ..ReplayOptions::default() };
     let mut replay = Replay::new(&world.document(), &options).unwrap();
@@ -154,8 +171,7 @@ fn linear(world: &mut World, ids: &[u64]) {
     let points: Vec<_> = ids.iter().map(|id| (*id, world.truth[id].coordinates())).collect();
     let (columns, rows) = (3 * ids.len(), 3 * (ids.len() - 1));
     let entry = |i, j| if j == i + 3 { 10.0 } else { 0.0 };
-    let sqrt_information =
-        (0..rows).flat_map(|i| (0..columns).map(move |j| entry(i, j))).collect();
+    let sqrt_information = (0..rows).flat_map(|i| (0..columns).map(move |j| entry(i, j))).collect();
     world.add(Record::Linear(Box::new(LinearMeasurement {
         points,
         root_shift: RootShift::Root,
@@ -200,8 +216,7 @@ fn partial_odometry_and_absolute_parts_make_a_chain() {
         let [_, _, last_yaw] = before.rotation().roll_pitch_yaw();
         world.measure(Quantity::HeadingDifference, &[id - 1, id], &[yaw - last_yaw]);
         world.measure(Quantity::DepthDifference, &[id - 1, id], &[x.z() - before.z()]);
-        let mut numbers =
-            Truth::Pose3(before.between(&x)).coordinates().numbers().to_vec();
+        let mut numbers = Truth::Pose3(before.between(&x)).coordinates().numbers().to_vec();
         numbers.extend([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
         world.measure_with(Quantity::Partial, &[id - 1, id], &numbers, sigma(0.1, 2));
     }
@@ -214,12 +229,16 @@ fn partial_odometry_and_absolute_parts_make_a_chain() {
 fn priors_on_a_sensor_are_priors_on_the_robot() {
     let sensor = Pose3::new(Rot3::from_roll_pitch_yaw(0.4, 0.5, -2.0), Point3::new(0.5, -1.0, 2.0));
     let mut world = World::default();
-    world.drive3(0..3, Pose3::new(Rot3::from_roll_pitch_yaw(1.0, 0.2, 3.0), Point3::new(9.0, 8.0, 7.0)));
+    world.drive3(
+        0..3,
+        Pose3::new(Rot3::from_roll_pitch_yaw(1.0, 0.2, 3.0), Point3::new(9.0, 8.0, 7.0)),
+    );
     world.add(Record::SensorOffset { id: 7, at: Truth::Pose3(sensor).coordinates() });
     for (quantity, rows) in [(Quantity::Prior, 6), (Quantity::Position, 3)] {
         let seen = world.pose3(1) * sensor;
         let seen = Truth::Pose3(seen);
-        let numbers = if rows == 6 { seen.coordinates().numbers().to_vec() } else { seen.position() };
+        let numbers =
+            if rows == 6 { seen.coordinates().numbers().to_vec() } else { seen.position() };
         world.measure_with(quantity, &[1], &numbers, sigma(0.1, rows));
         let Some(Record::Measurement(last)) = world.lines.last_mut().map(|line| &mut line.record)
         else {
@@ -234,11 +253,8 @@ fn priors_on_a_sensor_are_priors_on_the_robot() {
     let mut replay = Replay::new(&document, &ReplayOptions::default()).unwrap();
     let mut change = Graph::new().change();
     replay.everything(&mut change).unwrap();
-    let (_, factor) = change
-        .new_factors()
-        .iter()
-        .find(|(_, factor)| factor.name() == "Prior<Pose3>")
-        .unwrap();
+    let (_, factor) =
+        change.new_factors().iter().find(|(_, factor)| factor.name() == "Prior<Pose3>").unwrap();
     let off = Pose3::exp(&[0.1, -0.2, 0.3, 0.2, -0.1, 0.15].into());
     let x = world.pose3(1) * off;
     let value = evergraph::model::Value::new(&x);

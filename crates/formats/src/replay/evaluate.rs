@@ -71,11 +71,13 @@ impl Quadratic {
     }
 
     /// The damped step, `(JᵀJ + λ D) d = -Jᵀr` with `D` the diagonal, of which each entry is at
-    /// least that of `least`.
+    /// least that of `least`. Along those the damping does not vanish: what is free is not to go
+    /// where rounding sends it.
     fn step(&self, lambda: f64, least: &[f64]) -> Option<DVector<f64>> {
+        const AT_LEAST: f64 = 0.01;
         let mut damped = self.information.clone();
         for (i, least) in least.iter().enumerate() {
-            damped[(i, i)] += lambda * damped[(i, i)].max(*least);
+            damped[(i, i)] += lambda * damped[(i, i)] + lambda.max(AT_LEAST) * least;
         }
         let step = damped.cholesky()?.solve(&-&self.gradient);
         step.iter().all(|x| x.is_finite()).then_some(step)

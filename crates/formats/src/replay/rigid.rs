@@ -3,8 +3,8 @@
 
 use std::sync::Arc;
 
-use evergraph_model::{Factor, LieGroup, Point2, Point3, Pose2, Pose3, Value};
-use nalgebra::{DMatrix, DVector, Vector3, Vector6};
+use evergraph_model::{Factor, LieGroup, Point2, Point3, Pose2, Pose3, Rot3, Value};
+use nalgebra::{DMatrix, DVector, Vector3};
 use smallvec::SmallVec;
 
 use super::evaluate::{Linearized, Quadratic, minimize};
@@ -41,8 +41,8 @@ impl Body<'_> {
         }
     }
 
-    /// The motion by which the measurements fit best: Levenberg-Marquardt from eight headings, and
-    /// from there with the body moved to what it is seen from. `None` when nothing is measured.
+    /// The motion by which the measurements fit best: Levenberg-Marquardt from eight headings.
+    /// `None` when nothing is measured.
     pub fn fit(&self) -> Option<Geometry> {
         const HEADINGS: u32 = 8;
         /// Ties to choose a start with.
@@ -52,16 +52,13 @@ impl Body<'_> {
         }
         let sample = sample(self.ties, SAMPLE);
         let mut best: Option<(Geometry, f64)> = None;
-        for to in [Some(self.center), self.centroid_of_what_stands()].into_iter().flatten() {
-            for k in 0..HEADINGS {
-                let yaw = f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS);
-                let Some((motion, end)) = self.descend(&sample, self.turned(yaw, &to)) else {
-                    continue;
-                };
-                // A later start has to be better by more than rounding.
-                if best.as_ref().is_none_or(|best| end.error < best.1 * (1.0 - 1e-6)) {
-                    best = Some((motion, end.error));
-                }
+        for k in 0..HEADINGS {
+            let yaw = f64::from(k) * std::f64::consts::TAU / f64::from(HEADINGS);
+            let Some((motion, end)) = self.descend(&sample, self.turned(yaw)) else { continue };
+            // A later start has to be better by more than rounding.
+            let enough = |error: f64| error * (1.0 - 1e-6) - 1e-9;
+            if best.as_ref().is_none_or(|best| end.error < enough(best.1)) {
+                best = Some((motion, end.error));
             }
         }
         let every: Vec<&Tie> = self.ties.iter().collect();
@@ -119,43 +116,36 @@ impl Body<'_> {
         }
     }
 
-    /// `motion`, then a small motion about the center as it is then: `P Exp(d) P⁻¹ motion`.
+    /// `motion`, then a turn about the center as it is then, then a translation; apart, so that a
+    /// long way down does not become one aside.
     fn stepped(&self, motion: &Geometry, d: &DVector<f64>) -> Option<Geometry> {
         let p = self.center_at(motion);
         match motion {
             Geometry::Pose2(t) => {
-                let d = Pose2::exp(&Vector3::new(d[0], d[1], d[2]));
-                let out = Pose2::new(p.x, p.y, 0.0);
-                Some(Geometry::Pose2(out * d * out.inverse() * *t))
+                let out = Pose2::new(p.x + d[0], p.y + d[1], d[2]);
+                Some(Geometry::Pose2(out * Pose2::new(-p.x, -p.y, 0.0) * *t))
             }
             Geometry::Pose3(t) => {
-                let d = Pose3::exp(&Vector6::from_column_slice(d.as_slice()));
-                let out = Pose3::new(LieGroup::identity(), Point3::from(p));
-                Some(Geometry::Pose3(out * d * out.inverse() * *t))
+                let turn = Rot3::exp(&Vector3::new(d[3], d[4], d[5]));
+                let out = Pose3::new(turn, Point3::from(p + Vector3::new(d[0], d[1], d[2])));
+                let back = Pose3::new(LieGroup::identity(), Point3::from(-p));
+                Some(Geometry::Pose3(out * back * *t))
             }
             Geometry::Point2(_) | Geometry::Point3(_) => None,
         }
     }
 
-    /// The motion that turns by `yaw` about the center and takes that to `to`.
-    fn turned(&self, yaw: f64, to: &Vector3<f64>) -> Geometry {
-        let (c, d) = (self.center, *to);
+    /// The motion that turns by `yaw` about the center.
+    fn turned(&self, yaw: f64) -> Geometry {
+        let c = self.center;
         if self.planar {
             let back = Pose2::new(-c.x, -c.y, 0.0);
-            Geometry::Pose2(Pose2::new(d.x, d.y, yaw) * back)
+            Geometry::Pose2(Pose2::new(c.x, c.y, yaw) * back)
         } else {
-            let rotation = evergraph_model::Rot3::from_roll_pitch_yaw(0.0, 0.0, yaw);
+            let rotation = Rot3::from_roll_pitch_yaw(0.0, 0.0, yaw);
             let back = Pose3::new(LieGroup::identity(), Point3::from(-c));
-            Geometry::Pose3(Pose3::new(rotation, Point3::from(d)) * back)
+            Geometry::Pose3(Pose3::new(rotation, Point3::from(c)) * back)
         }
-    }
-
-    fn centroid_of_what_stands(&self) -> Option<Vector3<f64>> {
-        let ends = self.ties.iter().flat_map(|tie| &tie.ends);
-        let standing: Vec<Vector3<f64>> =
-            ends.filter(|(_, moves)| !moves).map(|(at, _)| at.position()).collect();
-        (!standing.is_empty())
-            .then(|| standing.iter().sum::<Vector3<f64>>() / standing.len() as f64)
     }
 }
 
