@@ -1,7 +1,9 @@
 //! Graphs of every kind of variable and every kind of factor, with known truth.
 
+mod failures;
 mod makers;
 mod operations;
+mod variables;
 
 pub use makers::{MAKERS, Maker};
 pub use operations::{Operation, World};

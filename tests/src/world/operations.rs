@@ -2,10 +2,7 @@
 
 use std::num::NonZeroU32;
 
-use evergraph::model::{
-    Arguments, Change, Factor, FactorId, GraphError, Kernel, Key, LieGroup, Linearization,
-    Manifold, Noise, Point2, Point3, Pose2, Pose3, Rot2, Rot3, VariableId, VariableType, VectorN,
-};
+use evergraph::model::{Change, FactorId, Kernel, Key, Pose2};
 use evergraph::solver::{BatchSettings, Elimination, Fluid, Relinearization};
 use evergraph::{Settings, Smoother, SmootherError};
 
@@ -60,42 +57,14 @@ pub enum Operation {
 pub struct World {
     /// The smoother.
     pub smoother: Smoother,
-    variables: Vec<Variable>,
+    pub(super) variables: Vec<Variable>,
     /// A key that went out of date.
-    stale: Option<Key<Pose2>>,
-    wiggle: Wiggle,
+    pub(super) stale: Option<Key<Pose2>>,
+    pub(super) wiggle: Wiggle,
     /// How often each of [`MAKERS`] has been applied.
     pub applied: Vec<usize>,
     /// Operations refused, as they had to be or for want of information.
     pub refused: usize,
-}
-
-/// A factor whose residual is not a number.
-#[derive(Debug)]
-struct NotANumber([VariableId; 1]);
-
-impl Factor for NotANumber {
-    fn name(&self) -> String {
-        "NotANumber".into()
-    }
-    fn keys(&self) -> &[VariableId] {
-        &self.0
-    }
-    fn residual_dim(&self) -> usize {
-        1
-    }
-    fn accepts(&self, _: usize, _: &VariableType, _: usize) -> bool {
-        true
-    }
-    fn residual(&self, _: &Arguments<'_>, out: &mut [f64]) {
-        out[0] = f64::NAN;
-    }
-    fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
-        self.residual(at, out.residual_mut());
-    }
-    fn as_any(&self) -> &dyn std::any::Any {
-        self
-    }
 }
 
 impl World {
@@ -307,75 +276,6 @@ impl World {
         self.apply(change, "moving a linearization point");
     }
 
-    // --- What must go wrong ----------------------------------------------------------------
-
-    fn fail(&mut self, how: u8) {
-        let mut change = self.smoother.change();
-        let some = self.variables[usize::from(how) % self.variables.len()].clone();
-        let noise = |dim| Noise::isotropic(dim, 0.1).expect("a sound sigma");
-        let prior = |key: Key<Pose2>| {
-            evergraph::factors::Prior::new(key, Pose2::identity(), noise(3)).expect("sound numbers")
-        };
-        match how % 9 {
-            0 => {
-                change.add_variable(&Point3::new(0.0, 0.0, 0.0));
-            }
-            1 => {
-                let a = change.add_variable(&Pose2::identity());
-                let b = change.add_variable(&Pose2::identity());
-                let z = Pose2::new(1.0, 0.0, 0.0);
-                let between = evergraph::factors::BetweenPose2::new(a, b, z, noise(3));
-                change.add_factor(between.expect("sound numbers"));
-            }
-            2 => {
-                change.add_factor(NotANumber([some.id()]));
-            }
-            3 => {
-                let start = change.add_variable(&Pose2::new(f64::INFINITY, 0.0, 0.0));
-                change.add_factor(prior(start));
-            }
-            4 => {
-                let Some(stale) = self.stale else { return };
-                change.add_factor(prior(stale));
-            }
-            5 => {
-                // Held by its factors, all of which stay.
-                change.drop_variable(some.id());
-            }
-            6 => {
-                let factors = self.smoother.graph().factors_of(some.id()).expect("it is there");
-                let Some(&factor) = factors.first() else { return };
-                change.drop_factor(factor).drop_factor(factor);
-            }
-            7 => {
-                change = Smoother::new(Settings::default()).expect("sound settings").change();
-                let start = change.add_variable(&Pose2::identity());
-                change.add_factor(prior(start));
-            }
-            _ => {
-                change.move_value(some.id(), evergraph::model::Value::new(&VectorN::zeros(5)));
-            }
-        }
-        let before = self.smoother.fingerprint();
-        let error = match self.smoother.apply(change) {
-            Ok(_) => panic!("failure {} was accepted", how % 9),
-            Err(error) => error,
-        };
-        assert_eq!(self.smoother.fingerprint(), before, "failure {} left traces", how % 9);
-        let expected = match how % 9 {
-            0 | 1 => matches!(error, SmootherError::Singular(_)),
-            2 => matches!(error, SmootherError::NonFinite { .. }),
-            3 => matches!(error, SmootherError::Graph(GraphError::NonFiniteValue { .. })),
-            4 => matches!(error, SmootherError::Graph(GraphError::UnknownVariable { .. })),
-            5 => matches!(error, SmootherError::Graph(GraphError::StillHeld { .. })),
-            6 => matches!(error, SmootherError::Graph(GraphError::Twice { .. })),
-            7 => matches!(error, SmootherError::Graph(GraphError::Foreign { .. })),
-            _ => matches!(error, SmootherError::Graph(GraphError::ValueMismatch { .. })),
-        };
-        assert!(expected, "failure {}: {error}", how % 9);
-        self.refused += 1;
-    }
-
     /// Applies a change that may be refused for want of information only.
     fn apply(&mut self, change: Change, what: &str) -> bool {
         let before = self.smoother.fingerprint();
@@ -396,99 +296,6 @@ impl World {
         assert!(matches!(error, SmootherError::Singular(_)), "{what}: {error}");
         assert_eq!(self.smoother.fingerprint(), before, "{what} failed and left something behind");
         self.refused += 1;
-    }
-
-    // --- Variables -------------------------------------------------------------------------
-
-    /// Distinct variables of these kinds.
-    fn choose(&self, kinds: &[Kind], pick: usize) -> Option<Vec<Variable>> {
-        let mut chosen: Vec<Variable> = Vec::new();
-        for (k, kind) in kinds.iter().enumerate() {
-            let fits: Vec<&Variable> = self
-                .variables
-                .iter()
-                .filter(|v| v.kind() == *kind && chosen.iter().all(|c| c.id() != v.id()))
-                .collect();
-            let at = (pick >> (8 * k)) % fits.len().max(1);
-            chosen.push((*fits.get(at)?).clone());
-        }
-        Some(chosen)
-    }
-
-    /// Adds a variable ahead of `source`, or near the origin, with a start value near the truth.
-    fn add(
-        &mut self,
-        change: &mut Change,
-        kind: Kind,
-        source: Option<&Variable>,
-        turn: f64,
-    ) -> Variable {
-        let w = &mut self.wiggle;
-        match kind {
-            Kind::Pose2 => {
-                let step = Pose2::new(1.0, w.next(0.2), turn);
-                let truth = match source {
-                    Some(Variable::Pose2(_, x)) => x.compose(&step),
-                    _ => step,
-                };
-                Variable::Pose2(change.add_variable(&w.near(&truth, 0.1)), truth)
-            }
-            Kind::Pose3 => {
-                let tilt = w.vector(2, 0.1);
-                let rotation = Rot3::from_roll_pitch_yaw(tilt[0], tilt[1], turn);
-                let step = Pose3::new(rotation, Point3::new(1.0, w.next(0.2), w.next(0.2)));
-                let truth = match source {
-                    Some(Variable::Pose3(_, x)) => x.compose(&step),
-                    _ => step,
-                };
-                Variable::Pose3(change.add_variable(&w.near(&truth, 0.1)), truth)
-            }
-            Kind::Point2 => {
-                let seen = Point2::new(2.0 + w.next(1.0), w.next(2.0));
-                let truth = match source {
-                    Some(Variable::Pose2(_, x)) => x.transform_point(&seen),
-                    _ => seen,
-                };
-                Variable::Point2(change.add_variable(&w.near(&truth, 0.1)), truth)
-            }
-            Kind::Point3 => {
-                let seen = Point3::new(2.0 + w.next(1.0), w.next(2.0), w.next(2.0));
-                let truth = match source {
-                    Some(Variable::Pose3(_, x)) => x.transform_point(&seen),
-                    _ => seen,
-                };
-                Variable::Point3(change.add_variable(&w.near(&truth, 0.1)), truth)
-            }
-            Kind::Rot2 => {
-                let truth = Rot2::from_angle(turn + w.next(1.0));
-                Variable::Rot2(change.add_variable(&w.near(&truth, 0.1)), truth)
-            }
-            Kind::Rot3 => {
-                let truth = Rot3::from_roll_pitch_yaw(w.next(0.3), w.next(0.3), turn);
-                Variable::Rot3(change.add_variable(&w.near(&truth, 0.1)), truth)
-            }
-            Kind::Vector => {
-                let truth = VectorN::new(w.vector(4, 2.0));
-                Variable::Vector(change.add_variable(&w.near(&truth, 0.1)), truth)
-            }
-        }
-    }
-
-    /// Adds a variable with the truth of another.
-    fn copy(&mut self, change: &mut Change, of: &Variable) -> Variable {
-        fn add<V: Manifold>(change: &mut Change, truth: &V, w: &mut Wiggle) -> Key<V> {
-            change.add_variable(&w.near(truth, 0.05))
-        }
-        let w = &mut self.wiggle;
-        match of {
-            Variable::Pose2(_, x) => Variable::Pose2(add(change, x, w), *x),
-            Variable::Pose3(_, x) => Variable::Pose3(add(change, x, w), *x),
-            Variable::Point2(_, x) => Variable::Point2(add(change, x, w), *x),
-            Variable::Point3(_, x) => Variable::Point3(add(change, x, w), *x),
-            Variable::Rot2(_, x) => Variable::Rot2(add(change, x, w), *x),
-            Variable::Rot3(_, x) => Variable::Rot3(add(change, x, w), *x),
-            Variable::Vector(_, x) => Variable::Vector(add(change, x, w), x.clone()),
-        }
     }
 
     /// The measurement kinds that no operation has applied.
