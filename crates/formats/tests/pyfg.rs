@@ -197,3 +197,14 @@ fn priors_of_sensors_become_priors_of_robots() {
     assert!((yy - (1.0 / 4.0 + 1.0 / 49.0)).abs() < 1e-12, "{pyfg}");
     assert!((ww - 1.0 / 49.0).abs() < 1e-12 && (yw.abs() - 1.0 / 49.0).abs() < 1e-12, "{pyfg}");
 }
+
+#[test]
+fn added_times_are_ranks_of_poses_also_where_a_landmark_has_the_id_of_one() {
+    let document = parse(
+        "ODOMETRY 0 1 1 0 0 10 0 0 10 0 20\nODOMETRY 1 2 1 0 0 10 0 0 10 0 20\n\
+         LANDMARK 0 2 1 1 10 0 10\n",
+    );
+    let text = written(&document, Dialect::Pyfg);
+    let sighting = text.lines().find(|line| line.starts_with("EDGE_SE2_XY")).expect("a sighting");
+    assert!(sighting.starts_with("EDGE_SE2_XY 0 A0 L2 "), "{sighting}");
+}

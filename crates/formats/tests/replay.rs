@@ -214,3 +214,56 @@ fn vertices_are_replaced_by_estimates() {
         assert_eq!(again.summary().pose_edges, document.summary().pose_edges, "{}", path.display());
     }
 }
+
+/// Positions to a millimetre along 20 km of a straight line in space: what turning about it adds up
+/// to is rounding, far above what a measurement would be.
+#[test]
+fn rounding_of_many_measurements_holds_nothing() {
+    let (step, count) = ([0.6, 0.64, 0.48], 20_000);
+    let mut text = String::new();
+    for i in 0..count {
+        if i > 0 {
+            text += &format!(
+                "EDGE_SE3:QUAT {} {i} {} {} {} 0 0 0 1 1e4 0 0 0 0 0 1e4 0 0 0 0 1e4 0 0 0 1e4 0 0 1e4 0 1e4\n",
+                i - 1,
+                step[0],
+                step[1],
+                step[2]
+            );
+        }
+        let [x, y, z] = step.map(|x| x * f64::from(i));
+        text += &format!("EDGE_SE3_XYZ_PRIOR {i} {x} {y} {z} 1e6 0 0 1e6 0 1e6\n");
+    }
+    let document = Document::parse("text", text.as_bytes(), &ReadOptions::default()).unwrap();
+    let mut replay = Replay::new(&document, &ReplayOptions::default()).unwrap();
+    let whole = replay.everything(&mut Graph::new().change()).unwrap();
+    let directions: Vec<usize> = whole.gauge_priors.iter().map(|prior| prior.directions).collect();
+    assert_eq!(directions, [1]);
+}
+
+/// Far more than a second for each where the work grows with the square.
+#[test]
+fn work_grows_with_the_length_of_a_file() {
+    let start = std::time::Instant::now();
+    let mut apart = String::new();
+    for i in (0..200_000).step_by(2) {
+        // With vertices no heading is looked for, which takes long, though no longer than linear.
+        apart += &format!("VERTEX_SE2 {i} 0 0 0\nVERTEX_SE2 {} 1 0 0\n", i + 1);
+        apart += &format!("EDGE_SE2 {i} {} 1 0 0 1 0 0 1 0 1\n", i + 1);
+        apart += &format!("EDGE_PRIOR_SE2 {i} 0 0 0 1 0 0 1 0 1\n");
+    }
+    // Straight towards a landmark, which no bearing places.
+    let mut ahead = String::from("EDGE_BEARING_SE2_XY 0 1000000 0 400\n");
+    for i in 1..100_000 {
+        ahead += &format!("EDGE_SE2 {} {i} 1 0 0 1 0 0 1 0 1\n", i - 1);
+        ahead += &format!("EDGE_BEARING_SE2_XY {i} 1000000 0 400\n");
+    }
+    for (text, held_back) in [(apart, 0), (ahead, 1)] {
+        let document = Document::parse("text", text.as_bytes(), &ReadOptions::default()).unwrap();
+        let options = ReplayOptions { initial: Initial::FromFile, ..ReplayOptions::default() };
+        let mut replay = Replay::new(&document, &options).unwrap();
+        replay.everything(&mut Graph::new().change()).unwrap();
+        assert_eq!(replay.held_back(), held_back);
+    }
+    assert!(start.elapsed().as_secs() < 40, "{:?}", start.elapsed());
+}

@@ -169,7 +169,12 @@ impl<'a> Converter<'a> {
         let last = match &line.record {
             Record::Vertex { at, .. } if !at.kind().is_pose() => return line.time(),
             Record::Vertex { id, .. } => rank(*id),
-            factor => factor.ends().iter().map(|(id, _)| rank(*id)).max().unwrap_or(0),
+            // A landmark may have the id of a pose.
+            factor => {
+                let ends = factor.ends();
+                let poses = ends.iter().filter(|(_, kind)| kind.is_pose());
+                poses.map(|(id, _)| rank(*id)).max().unwrap_or(0)
+            }
         };
         line.time().or(Some(f64::from(last)))
     }

@@ -49,8 +49,14 @@ impl Replay {
         for step in &steps {
             self.compose(&step.arrivals, &mut Known { before: 0, estimate: &mut None })?;
         }
+        let mut members = vec![Vec::new(); self.nodes.len()];
+        for (at, step) in steps.iter().enumerate() {
+            if let Some(first) = step.arrivals.first() {
+                members[self.component[first.node]].push(at);
+            }
+        }
         for component in held {
-            self.settle_component(component, &mut steps)?;
+            self.settle_component(&members[component], &mut steps)?;
         }
         steps.retain(|step| !step.arrivals.is_empty());
         self.steps = steps;
@@ -88,11 +94,12 @@ impl Replay {
         (0..self.nodes.len()).filter(|&component| held[component]).collect()
     }
 
-    fn settle_component(&self, component: usize, steps: &mut [Planned]) -> Result<(), FormatError> {
-        let of_component = |step: &Planned| {
-            step.arrivals.first().is_some_and(|first| self.component[first.node] == component)
-        };
-        let members: Vec<usize> = (0..steps.len()).filter(|&at| of_component(&steps[at])).collect();
+    /// Settles a component, of which the steps at `members` are.
+    fn settle_component(
+        &self,
+        members: &[usize],
+        steps: &mut [Planned],
+    ) -> Result<(), FormatError> {
         let Some(first) = members.first().map(|&at| steps[at].arrivals[0].node) else {
             return Ok(());
         };
@@ -100,7 +107,7 @@ impl Replay {
         let planar = !matches!(origin, Geometry::Pose3(_));
         let mut information = DMatrix::zeros(origin.value().dim(), origin.value().dim());
         let mut known = Vec::with_capacity(members.len());
-        for &at in &members {
+        for &at in members {
             let mut ties = Vec::new();
             for &link in steps[at].links.iter().chain(&steps[at].waiting) {
                 ties.extend(self.tie(link, planar, |node| {

@@ -14,8 +14,10 @@ use crate::error::FormatError;
 /// A landmark that is not in yet.
 #[derive(Clone, Debug)]
 pub(super) struct Held {
-    /// Its links of which all other ends but landmarks have come in.
-    links: Vec<usize>,
+    /// Its links of which all other ends have come in.
+    usable: Vec<usize>,
+    /// Its links that wait for other landmarks, too, or were not looked at yet.
+    pending: Vec<usize>,
     /// With how many usable links to try next.
     next_try: usize,
 }
@@ -50,7 +52,8 @@ impl Replay {
             }
             for landmark in absent {
                 let held = self.held.entry(landmark);
-                held.or_insert(Held { links: Vec::new(), next_try: 1 }).links.push(link);
+                let fresh = Held { usable: Vec::new(), pending: Vec::new(), next_try: 1 };
+                held.or_insert(fresh).pending.push(link);
                 touched.insert(landmark);
             }
         }
@@ -61,9 +64,9 @@ impl Replay {
             let Some(start) = self.try_to_place(landmark, all, known)? else { continue };
             self.bring_in(landmark, start, change);
             freed.variables += 1;
-            let links = self.held.remove(&landmark).map_or(Vec::new(), |held| held.links);
+            let Some(held) = self.held.remove(&landmark) else { continue };
             let mut usable = 0;
-            for link in links {
+            for link in held.usable.into_iter().chain(held.pending) {
                 let absent = self.absent(link);
                 if absent.is_empty() {
                     self.add_factor(link, change)?;
@@ -78,31 +81,33 @@ impl Replay {
     }
 
     /// Where a landmark is, if that can be told now. Trying costs as much as there are links, so it
-    /// is done at each new one for the first twenty, then as their number grows by a quarter.
+    /// is done at each new one for the first twenty, then as their number grows by a quarter; in
+    /// between only new links are looked at.
     fn try_to_place(
         &mut self,
         landmark: usize,
         again: bool,
         known: &mut Known<'_, '_>,
     ) -> Result<Option<Geometry>, FormatError> {
-        let Some(held) = self.held.get(&landmark) else { return Ok(None) };
-        let usable: Vec<usize> =
-            held.links.iter().copied().filter(|&link| self.absent(link).len() == 1).collect();
-        let seen = usable.iter().any(|&link| self.links[link].ends.len() > 1);
-        if !seen || usable.len() < held.next_try && !again {
+        let Some(held) = self.held.get_mut(&landmark) else { return Ok(None) };
+        let pending = std::mem::take(&mut held.pending);
+        let (usable, pending): (Vec<usize>, Vec<usize>) =
+            pending.into_iter().partition(|&link| self.absent(link).len() == 1);
+        let Some(held) = self.held.get_mut(&landmark) else { return Ok(None) };
+        held.usable.extend(usable);
+        held.pending = pending;
+        let count = held.usable.len();
+        let seen = || held.usable.iter().any(|&link| self.links[link].ends.len() > 1);
+        if count < held.next_try && !again || !seen() {
             return Ok(None);
         }
-        let mut sights = Vec::with_capacity(usable.len());
-        for &link in &usable {
+        held.next_try = count + 1 + if count < 20 { 0 } else { count / 4 };
+        let mut sights = Vec::with_capacity(count);
+        for &link in self.held.get(&landmark).map_or(&[][..], |held| &held.usable) {
             sights.push(self.sight(link, landmark, known)?);
         }
         let vertex = self.vertices[landmark].filter(|_| self.options.initial == Initial::FromFile);
-        let start = place(self.nodes[landmark].kind, &sights, vertex.as_ref());
-        if let Some(held) = self.held.get_mut(&landmark) {
-            let count = usable.len();
-            held.next_try = count + 1 + if count < 20 { 0 } else { count / 4 };
-        }
-        Ok(start)
+        Ok(place(self.nodes[landmark].kind, &sights, vertex.as_ref()))
     }
 
     fn sight(

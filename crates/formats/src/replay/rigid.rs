@@ -14,6 +14,10 @@ use super::geometry::Geometry;
 /// far coarser than any measurement, far finer than what rounding leaves of a free direction.
 const COARSE: (f64, f64) = (1e3, 0.5);
 
+/// What the sum of a hundred thousand measurements, and its eigenvalues, may be off by, as a share
+/// of the largest.
+const ROUNDING: f64 = 1e-13;
+
 /// A factor on a body.
 pub(super) struct Tie {
     pub factor: Arc<dyn Factor>,
@@ -171,9 +175,11 @@ pub(super) fn directions(information: &DMatrix<f64>) -> (DMatrix<f64>, usize) {
         return (scale, information.nrows());
     }
     let eigen = scaled.symmetric_eigen();
+    // In a sum of many measurements a free direction is zero only as far as the others round.
+    let held = f64::max(1.0, ROUNDING * eigen.eigenvalues.amax());
     let mut order: Vec<usize> = (0..information.nrows()).collect();
     order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
-    let free = order.iter().filter(|&&k| eigen.eigenvalues[k] < 1.0).count();
+    let free = order.iter().filter(|&&k| eigen.eigenvalues[k] < held).count();
     let columns: Vec<DVector<f64>> =
         order.iter().map(|&k| &scale * eigen.eigenvectors.column(k)).collect();
     (DMatrix::from_columns(&columns), free)
