@@ -178,7 +178,11 @@ struct Writer<'a, W> {
 
 impl<W: Write> Writer<'_, W> {
     fn line(&mut self, mut line: Line) -> io::Result<()> {
-        let Some(tag) = Tag::of(&line.record, self.dialect) else { return Ok(()) };
+        let Some(tag) = Tag::of(&line.record, self.dialect) else {
+            // The converter leaves nothing that the dialect has no line for.
+            let name = line.record.name();
+            return Err(io::Error::other(format!("{} has no line for {name}", self.dialect)));
+        };
         let mut leave_out = |what| *self.written.left_out.entry(what).or_default() += 1;
         if self.options.plain && tag.is_our_own() {
             leave_out(tag.name);

@@ -41,7 +41,8 @@ pub struct BatchSettings {
     /// Most linearizations. Default 100.
     pub max_iterations: u32,
     /// Converged when a step lowers, or the linear model promises to lower, the error by less than
-    /// this share of it, or the step is lost in the rounding of what it moves. Default 1e-11.
+    /// this share of it or by nothing that could be told, or the step is lost in the rounding of
+    /// what it moves. Default 1e-11.
     pub relative_decrease: f64,
 }
 
@@ -105,6 +106,8 @@ const LARGEST_DAMPING: f64 = 1e12;
 /// larger, moves nothing: where measurements agree exactly, the error is rounding and no share of it
 /// means anything.
 const STILL: f64 = 1e-13;
+/// A decrease of no more than this for each row of the residual is none: 3e-8 standard deviations.
+const NOTHING: f64 = 1e-15;
 /// A trust region this small relative to the Gauss-Newton step moves nothing.
 const SMALLEST_RADIUS: f64 = 1e-14;
 
@@ -208,7 +211,7 @@ impl Smoother {
             let trial_error = self.graph.error(&trial);
             let promised = decrease_of_model(&self.graph, &self.blocks, &delta);
             let still = is_still(&self.points, &trial);
-            let negligible = settings.relative_decrease * error;
+            let negligible = self.negligible(settings, error);
             // Written so that NaN is a failure.
             if trial_error.is_finite() && trial_error <= error {
                 let decrease = error - trial_error;
@@ -265,7 +268,7 @@ impl Smoother {
             let gradient = gradient(&self.graph, &self.blocks);
             let steepest = steepest_descent(&self.graph, &self.blocks, &gradient, &scale);
             let newton_length = scaled_norm(&newton, &scale);
-            let negligible = settings.relative_decrease * error;
+            let negligible = self.negligible(settings, error);
             loop {
                 let delta = within_radius(&newton, &steepest, &scale, radius);
                 let promised = decrease_of_model(&self.graph, &self.blocks, &delta);
@@ -308,6 +311,12 @@ impl Smoother {
             self.eliminate_in_place(0.0)?;
         }
         Ok(self.finish(status, iterations, initial_error, error))
+    }
+
+    /// A decrease of the error that is as good as none.
+    fn negligible(&self, settings: &BatchSettings, error: f64) -> f64 {
+        let rows: usize = self.graph.factor_indices().map(|f| self.graph.rows_at(f)).sum();
+        settings.relative_decrease * error + NOTHING * rows as f64
     }
 
     fn finish(

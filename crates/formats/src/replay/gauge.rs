@@ -24,6 +24,13 @@ pub(super) struct Bodies {
     undetermined: bool,
 }
 
+/// One of them: its nodes, the first pose first, and the links that touch it.
+#[derive(Default)]
+struct Part {
+    nodes: Vec<usize>,
+    links: Vec<usize>,
+}
+
 impl Bodies {
     /// Whether what is there already holds each of them, but for those with a gauge prior.
     pub fn are_determined(&self) -> bool {
@@ -173,35 +180,46 @@ impl Replay {
         let mut bodies = Bodies::default();
         // By node, the body that it is part of.
         let mut body_of: BTreeMap<usize, usize> = BTreeMap::new();
-        let mut firsts = Vec::new();
+        let mut parts: Vec<Part> = Vec::new();
         for arrival in &step.arrivals {
-            let Some((_, from)) = arrival.along else {
-                body_of.insert(arrival.node, firsts.len());
-                firsts.push(arrival.node);
-                continue;
+            let body = match arrival.along {
+                None => {
+                    parts.push(Part::default());
+                    Some(parts.len() - 1)
+                }
+                Some((_, from)) => body_of.get(&from).copied(),
             };
-            if let Some(&body) = body_of.get(&from) {
+            if let Some(body) = body {
                 body_of.insert(arrival.node, body);
+                parts[body].nodes.push(arrival.node);
             }
         }
-        for (body, first) in firsts.into_iter().enumerate() {
-            self.place_body((body, first), step, &body_of, known, &mut bodies)?;
+        for &link in step.links.iter().chain(&step.waiting) {
+            for body in self.links[link].ends.iter().filter_map(|node| body_of.get(node)) {
+                if parts[*body].links.last() != Some(&link) {
+                    parts[*body].links.push(link);
+                }
+            }
+        }
+        for (body, part) in parts.iter().enumerate() {
+            self.place_body((body, part), step, &body_of, known, &mut bodies)?;
         }
         Ok(bodies)
     }
 
     fn place_body(
         &mut self,
-        (this, first): (usize, usize),
+        (this, part): (usize, &Part),
         step: &Planned,
         body_of: &BTreeMap<usize, usize>,
         known: &mut Known<'_, '_>,
         bodies: &mut Bodies,
     ) -> Result<(), FormatError> {
+        let Some(&first) = part.nodes.first() else { return Ok(()) };
         let Some((_, origin)) = self.starts[first] else { return Ok(()) };
         let planar = !matches!(origin, Geometry::Pose3(_));
         let mut ties = Vec::new();
-        for &link in step.links.iter().chain(&step.waiting) {
+        for &link in &part.links {
             ties.extend(self.tie(link, planar, |node| match body_of.get(&node) {
                 // Bodies after this one are not placed yet.
                 Some(&body) if body > this => Ok(None),
@@ -212,7 +230,7 @@ impl Replay {
                 None => Ok(self.anchors[node].map(|anchor| (anchor, false))),
             })?);
         }
-        let members = || body_of.iter().filter(|(_, body)| **body == this).map(|(node, _)| *node);
+        let members = || part.nodes.iter().copied();
         let from_file = self.options.initial == Initial::FromFile
             && members().any(|node| self.vertices[node].is_some());
         let gauge = |node| step.gauge.iter().find(|(pose, _)| *pose == node);
