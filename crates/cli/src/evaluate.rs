@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use evergraph::evaluate::{
-    AbsoluteError, Alignment, Association, EvaluateError, LandmarkError, Map, PosePairs,
-    RelativeError, RelativePairs, Statistics,
+    AbsoluteError, Alignment, Association, EvaluateError, LandmarkError, PosePairs, RelativeError,
+    RelativePairs, Statistics,
 };
 use evergraph::formats::Stamps;
 use serde_json::{Value, json};
@@ -105,12 +105,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     if let Some(path) = &common.report {
         files::check_writable(path)?;
     }
-    let options = arguments.reading.options(common);
-    let mut estimate = Map::read(&arguments.estimate, None, &options)?;
+    let mut estimate = arguments.reading.read_map(&arguments.estimate, common)?;
     if let Some(path) = &arguments.times {
         estimate = estimate.with_stamps(&Stamps::read(path)?)?;
     }
-    let truth = Map::read(&arguments.truth, None, &options)?;
+    let truth = arguments.reading.read_map(&arguments.truth, common)?;
     let association = match arguments.max_difference {
         Some(max_difference) => Association::Time { max_difference },
         None => Association::of(&estimate.trajectory, &truth.trajectory),

@@ -53,6 +53,7 @@ const LISTED: usize = 8;
 
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let common = &arguments.common;
+    let output = Output::new(common);
     let document = arguments.reading.read(&arguments.file, common)?;
     let overview = Overview::of(&document);
     let mut rows = Rows::new("data set", &report::file_name(&arguments.file));
@@ -71,6 +72,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     if has_edges {
         rows.add("convention", CONVENTION);
     }
+    let mut warnings = summary.warnings();
     for (field, words, initial, there) in starts {
         if !(there && has_edges) {
             json[format!("at_{field}")] = Value::Null;
@@ -78,18 +80,31 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         }
         let start = Start::of(&document, initial)?;
         let objective = start.objective();
+        let g2o_chi2 = (arguments.convention == Convention::G2o)
+            .then(|| start.g2o_chi2(arguments.reading.g2o_rotation));
+        if !(objective.error.is_finite() && g2o_chi2.is_none_or(f64::is_finite)) {
+            let warning = format!(
+                "at {words}, the error is not finite: a residual or a weight is so large that its \
+                 square does not fit a 64-bit number"
+            );
+            output.warn(&format!("{}: {warning}", document.name()));
+            warnings.push(warning);
+            rows.add(&format!("at {words}"), "not finite");
+            json[format!("at_{field}")] = Value::Null;
+            continue;
+        }
         let mut at = json!({ "error": objective.error, "chi2": objective.chi2 });
         let text = format!("error {}, chi2 {}", number(objective.error), number(objective.chi2));
         rows.add(&format!("at {words}"), text);
-        if arguments.convention == Convention::G2o {
-            let chi2 = start.g2o_chi2(arguments.reading.g2o_rotation);
+        if let Some(chi2) = g2o_chi2 {
             at["g2o_chi2"] = json!(chi2);
             rows.add("  in g2o's convention", format!("chi2 {}", number(chi2)));
         }
         json[format!("at_{field}")] = at;
     }
+    json["warnings"] = json!(warnings);
     report::save(common.report.as_deref(), &json)?;
-    Output::new(common).result(&rows)
+    output.result(&rows)
 }
 
 /// What is there, counted: into the rows, and as JSON.
@@ -146,7 +161,6 @@ fn describe(document: &Document, overview: &Overview, all: bool, rows: &mut Rows
         })).collect::<Vec<_>>(),
         "ignored": summary.ignored,
         "skipped": summary.skipped,
-        "warnings": summary.warnings(),
     })
 }
 

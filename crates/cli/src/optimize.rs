@@ -157,7 +157,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let (status, words) = match batch.status {
         BatchStatus::Converged => (Status::Converged, "converged".to_string()),
         BatchStatus::NotConverged(reason) => {
-            (Status::NotConverged, format!("not converged ({reason:?})"))
+            (Status::NotConverged, format!("not converged ({})", report::why(reason)))
         }
     };
     run.status = status;

@@ -5,8 +5,10 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use clap::{ArgAction, Args, ValueEnum};
+use evergraph::evaluate::Map;
 use evergraph::formats::{
-    Dialect, Document, G2oRotation, Initial, ReadOptions, ReplayOptions, WeightKind,
+    Dialect, Document, G2oRotation, Initial, ReadOptions, ReplayOptions, TrajectoryFormat,
+    WeightKind,
 };
 use evergraph::model::Kernel;
 use evergraph::solver::{Elimination, Fluid, Relinearization, Settings};
@@ -68,6 +70,14 @@ fn rotation(name: &str) -> Result<G2oRotation, String> {
 }
 
 impl Reading {
+    /// Reads a map to be measured, or to measure by, and warns about what is odd in it.
+    pub(crate) fn read_map(&self, path: &Path, common: &Common) -> Result<Map, Error> {
+        match TrajectoryFormat::of_content(path)? {
+            Some(format) => Ok(Map::read(path, Some(format), &self.options(common))?),
+            None => Ok(Map::of_document(&self.read(path, common)?)?),
+        }
+    }
+
     /// Reads a file and warns about what is odd in it.
     pub(crate) fn read(&self, path: &Path, common: &Common) -> Result<Document, Error> {
         let document = Document::read(path, &self.options(common))?;

@@ -291,7 +291,9 @@ fn in_words(report: &Report, cut: bool, batch: &Option<(BatchReport, Duration)>)
         (_, Some((batch, took))) => {
             let how = match batch.status {
                 BatchStatus::Converged => "converged".to_string(),
-                BatchStatus::NotConverged(reason) => format!("not converged ({reason:?})"),
+                BatchStatus::NotConverged(reason) => {
+                    format!("not converged ({})", report::why(reason))
+                }
             };
             format!(
                 "{how} in {} iterations of the final batch, {:.3} s",

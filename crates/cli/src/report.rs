@@ -4,6 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use evergraph::formats::spell_id;
+use evergraph::solver::Reason;
 use evergraph::{Objective, Replayer};
 use serde::Serialize;
 use serde_json::{Map, Value};
@@ -25,6 +26,15 @@ pub(crate) enum Status {
     NotConverged,
     Singular,
     Stopped,
+}
+
+/// Why an optimization did not converge, and what may help.
+pub(crate) fn why(reason: Reason) -> &'static str {
+    match reason {
+        Reason::IterationLimit => "the iterations were used up",
+        Reason::ErrorWouldRise => "a Gauss-Newton step would raise the error; try --method lm",
+        Reason::NoDescent => "no step lowers the error any more",
+    }
 }
 
 /// Times of the updates.

@@ -178,3 +178,13 @@ fn an_audit_compares_along_the_way() {
     folder.write("two.g2o", TWO_PARTS);
     folder.run("audit two.g2o --prior none").failed(1, &["two.g2o", "--prior none"]);
 }
+
+#[test]
+fn bad_lines_of_either_map_are_told() {
+    let folder = Folder::with("map.g2o", "VERTEX_SE2 0 0 0 0\nODD 1\nVERTEX_SE2 1 1 0 0\n");
+    folder.write("truth.g2o", "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 2 nan 0 0\n");
+    folder.run("evaluate map.g2o --truth truth.g2o").failed(1, &["map.g2o:2"]);
+    let ran = folder.run("evaluate map.g2o --truth truth.g2o --lenient").done();
+    assert!(ran.err.contains("map.g2o:2") && ran.err.contains("truth.g2o:3"), "{}", ran.err);
+    assert_eq!(folder.run("evaluate map.g2o --truth truth.g2o --lenient -q").done().err, "");
+}

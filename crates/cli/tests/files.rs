@@ -237,6 +237,23 @@ fn py_factor_graph_is_read_and_written() {
     assert!(folder.read("map.pyfg").contains("VERTEX_SE2"));
 }
 
+/// Null stands for what a file does not have; an error that is no number is told.
+#[test]
+fn an_error_that_is_not_finite_is_told() {
+    let line = "EDGE_SE2 0 2 1e200 0 0 1 0 0 1 0 1\n";
+    let folder = Folder::with("far.g2o", &format!("{SQUARE}{line}"));
+    for convention in ["ours", "g2o"] {
+        let line = format!("info far.g2o --convention {convention} --report out.json");
+        let ran = folder.run(&line).done();
+        assert!(ran.out.contains("not finite") && ran.err.contains("not finite"), "{}", ran.err);
+        let report = folder.json("out.json");
+        assert!(report["at_vertices"].is_null() && report["at_odometry"].is_null(), "{report}");
+        let warnings = report["warnings"].as_array().unwrap();
+        assert_eq!(warnings.len(), 2, "{report}");
+        assert!(warnings.iter().all(|it| it.as_str().unwrap().contains("not finite")));
+    }
+}
+
 #[test]
 fn verbose_says_what_happens() {
     let folder = Folder::with("square.g2o", SQUARE);

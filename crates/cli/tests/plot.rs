@@ -124,3 +124,22 @@ fn a_plot_that_cannot_be_is_found_before_the_work() {
     }
     assert_eq!(folder.list(), ["square.g2o"]);
 }
+
+/// Two robots that drive side by side, in turns, and once measure how far apart they are.
+#[test]
+fn robots_that_drive_at_once_have_a_line_each() {
+    let mut text = String::new();
+    for k in 0..5 {
+        text += &format!("VERTEX_SE2 {} {k} 0 0\nVERTEX_SE2 {} {k} 3 0\n", 2 * k, 2 * k + 1);
+    }
+    for k in 2..10 {
+        text += &format!("EDGE_SE2 {} {k} 1 0 0 100 0 0 100 0 400\n", k - 2);
+    }
+    text += "EDGE_PRIOR_SE2 0 0 0 0 9 0 0 9 0 9\nEDGE_PRIOR_SE2 1 0 3 0 9 0 0 9 0 9\n";
+    text += "FACTOR_RANGE_SE2 6 7 3 1\n";
+    let folder = Folder::with("two.g2o", &text);
+    folder.run("replay two.g2o --plot map.svg").done();
+    let svg = folder.read("map.svg");
+    assert_eq!((count(&svg, "trajectory", 'M'), count(&svg, "trajectory", 'L')), (2, 8));
+    assert_eq!((count(&svg, "closures", 'M'), count(&svg, "poses", 'h')), (1, 0));
+}

@@ -97,6 +97,8 @@ fn steps_are_listed() {
     let last: f64 = text.lines().last().unwrap().rsplit(',').next().unwrap().parse().unwrap();
     assert_eq!(last, number(&folder.json("out.json"), "error"));
     assert!(text.lines().nth(4).unwrap().contains(",loop,"));
+    // The first pose has no measurements, whose sum is 0 and not -0.
+    assert!(text.lines().nth(1).unwrap().ends_with(",0"), "{text}");
 }
 
 #[test]

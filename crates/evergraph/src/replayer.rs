@@ -135,13 +135,14 @@ impl Replayer {
     /// The objective over the file's factors, at the estimate: gauge priors are left out.
     pub fn error(&self) -> f64 {
         let priors = self.priors();
-        self.smoother.error_of(|factor| !priors.contains(&factor))
+        // The sum of no terms is -0.
+        self.smoother.error_of(|factor| !priors.contains(&factor)) + 0.0
     }
 
     /// The objective of the gauge priors alone.
     pub fn gauge_error(&self) -> f64 {
         let priors = self.priors();
-        self.smoother.error_of(|factor| priors.contains(&factor))
+        self.smoother.error_of(|factor| priors.contains(&factor)) + 0.0
     }
 
     /// Error and chi2 over the file's factors, at the estimate.

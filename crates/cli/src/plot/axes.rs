@@ -5,6 +5,8 @@ use super::svg::{Anchor, Pen, Pixel, Svg};
 /// About how far ticks stand apart, in pixels.
 const TICK_SPACING: f64 = 110.0;
 const TICK_TEXT: u32 = 15;
+/// From so many times its extent on, a range is far from 0.
+const FAR: f64 = 1e3;
 const LABEL_TEXT: u32 = 17;
 const GRID: Pen = Pen { class: "grid", colour: "#e4e4e4", width: 1.0, opacity: 1.0 };
 
@@ -38,6 +40,21 @@ impl Scale {
         from + (x - low) / (high - low) * (to - from)
     }
 
+    /// What ticks are counted from: 0, or near the range where the range is far off, so that their
+    /// text stays short.
+    fn origin(&self) -> (f64, String) {
+        let [low, high] = self.numbers;
+        let (extent, middle) = (high - low, 0.5 * low + 0.5 * high);
+        let unit = 10_f64.powf(extent.log10().ceil());
+        let origin = (middle / unit).round() * unit;
+        let is_far = middle.abs() > FAR * extent && unit > 0.0 && origin.is_finite();
+        if self.logarithmic || !is_far {
+            return (0.0, String::new());
+        }
+        let sign = if origin < 0.0 { '+' } else { '-' };
+        (origin, format!(" {sign} {}", tick_text(origin.abs(), unit)))
+    }
+
     /// Round numbers within the range, with their text.
     fn ticks(&self) -> Vec<(f64, String)> {
         let [low, high] = self.numbers;
@@ -47,7 +64,8 @@ impl Scale {
         }
         let length = (self.pixels[1] - self.pixels[0]).abs();
         let step = round_step((high - low) / (length / TICK_SPACING));
-        let (first, last) = ((low / step).ceil(), (high / step).floor());
+        let (origin, _) = self.origin();
+        let (first, last) = (((low - origin) / step).ceil(), ((high - origin) / step).floor());
         let count = last - first;
         // Beyond the resolution of the numbers there are no ticks.
         if !(0.0..=100.0).contains(&count) {
@@ -55,7 +73,7 @@ impl Scale {
         }
         (0..=count as u32)
             .map(|k| (first + f64::from(k)) * step)
-            .map(|x| (x, tick_text(x, step)))
+            .map(|x| (origin + x, tick_text(x, step)))
             .collect()
     }
 }
@@ -98,8 +116,9 @@ impl Panel {
         [self.x.place(x), self.y.place(y)]
     }
 
-    /// Draws grid, frame, ticks and labels; what the panel shows goes on top.
-    pub fn draw(&self, svg: &mut Svg, x_label: &str, y_label: &str) {
+    /// Draws grid, frame, ticks and labels (a name and what stands behind it); what the panel shows
+    /// goes on top.
+    pub fn draw(&self, svg: &mut Svg, x_label: [&str; 2], y_label: [&str; 2]) {
         let ([left, right], [bottom, top]) = (self.x.pixels, self.y.pixels);
         let columns: Vec<(f64, String)> =
             self.x.ticks().into_iter().map(|(x, text)| (self.x.place(x), text)).collect();
@@ -115,8 +134,13 @@ impl Panel {
             svg.text([left - 8.0, y + 5.0], TICK_TEXT, Anchor::End, text);
         }
         let middle = [0.5 * (left + right), 0.5 * (bottom + top)];
-        svg.text([middle[0], bottom + 46.0], LABEL_TEXT, Anchor::Middle, x_label);
-        svg.upward_text([left - 72.0, middle[1]], LABEL_TEXT, y_label);
+        let label = |scale: Scale, [name, rest]: [&str; 2]| {
+            let (_, origin) = scale.origin();
+            format!("{name}{origin}{rest}")
+        };
+        let (x_label, y_label) = (label(self.x, x_label), label(self.y, y_label));
+        svg.text([middle[0], bottom + 46.0], LABEL_TEXT, Anchor::Middle, &x_label);
+        svg.upward_text([left - 84.0, middle[1]], LABEL_TEXT, &y_label);
     }
 }
 
@@ -135,6 +159,17 @@ mod tests {
         assert_eq!(texts(Scale::linear([0.0, 1.0], pixels)), ["0.0", "0.5", "1.0"]);
         assert_eq!(texts(Scale::logarithmic([0.02, 3.0], pixels)), ["0.01", "0.1", "1", "10"]);
         assert_eq!(texts(Scale::linear([-2.0, -2.0], pixels)).len(), 3);
+    }
+
+    #[test]
+    fn far_from_zero_ticks_are_counted_from_near_by() {
+        let scale = Scale::linear([3_999_989.5, 4_000_010.5], [0.0, 500.0]);
+        assert_eq!(scale.origin(), (4e6, " - 4000000".into()));
+        assert_eq!(texts(scale), ["-10", "-5", "0", "5", "10"]);
+        assert!(scale.ticks().iter().all(|(x, _)| (x - 4e6).abs() <= 10.0));
+        let scale = Scale::linear([-5e5 - 1.0, -5e5 + 1.0], [0.0, 500.0]);
+        assert_eq!(scale.origin(), (-5e5, " + 500000".into()));
+        assert_eq!(Scale::linear([-40.0, 60.0], [0.0, 500.0]).origin(), (0.0, String::new()));
     }
 
     #[test]

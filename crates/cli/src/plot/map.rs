@@ -1,6 +1,6 @@
 //! What of a map a plot shows.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap};
 
 use evergraph::Replayer;
 use evergraph::model::{Point2, Point3, Pose2, Pose3, Value, VariableId};
@@ -8,8 +8,8 @@ use evergraph::model::{Point2, Point3, Pose2, Pose3, Value, VariableId};
 /// A map from above.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Map {
-    /// The poses in the order in which they came in, a new line where no measurement ties a pose
-    /// to the one before it.
+    /// The poses in the order in which they came in, a new line where no measurement leads from
+    /// an earlier one to a pose.
     pub trajectory: Vec<Vec<[f64; 2]>>,
     /// Ends of the measurements between any other two poses, each pair once.
     pub closures: Vec<[[f64; 2]; 2]>,
@@ -35,22 +35,43 @@ impl Map {
                 map.landmarks.push(seen.at);
             }
         }
-        let mut pairs: HashSet<[usize; 2]> = HashSet::new();
+        // How many numbers each pair of poses was measured by.
+        let mut pairs: BTreeMap<[usize; 2], usize> = BTreeMap::new();
         for (_, factor) in replayer.graph().factors() {
             let [a, b] = factor.keys() else { continue };
             let (Some(&a), Some(&b)) = (place_of.get(a), place_of.get(b)) else { continue };
-            let pair = [a.min(b), a.max(b)];
-            if pairs.insert(pair) && pair[1] - pair[0] > 1 {
-                map.closures.push(pair.map(|place| poses[place]));
-            }
+            *pairs.entry([a.max(b), a.min(b)]).or_default() += factor.residual_dim();
         }
-        for (place, &at) in poses.iter().enumerate() {
-            match map.trajectory.last_mut() {
-                Some(line) if pairs.contains(&[place - 1, place]) => line.push(at),
-                _ => map.trajectory.push(vec![at]),
-            }
-        }
+        map.connect(&poses, &pairs);
         map
+    }
+
+    /// Makes lines of the poses; `pairs` holds the later of two poses first. Each pose goes on from
+    /// the latest one that it is measured from and that none goes on from yet, so that robots that
+    /// drive at once have a line each. A range alone is no motion.
+    fn connect(&mut self, poses: &[[f64; 2]], pairs: &BTreeMap<[usize; 2], usize>) {
+        // The line that ends at a pose.
+        let mut ends: HashMap<usize, usize> = HashMap::new();
+        for (place, &at) in poses.iter().enumerate() {
+            let mut before: Vec<usize> = Vec::new();
+            let mut line = None;
+            for ([_, earlier], rows) in pairs.range([place, 0]..[place + 1, 0]).rev() {
+                if line.is_none() && *rows > 1 {
+                    line = ends.remove(earlier);
+                    if line.is_some() {
+                        continue;
+                    }
+                }
+                before.push(*earlier);
+            }
+            self.closures.extend(before.iter().rev().map(|&earlier| [poses[earlier], at]));
+            let line = line.unwrap_or_else(|| {
+                self.trajectory.push(Vec::new());
+                self.trajectory.len() - 1
+            });
+            self.trajectory[line].push(at);
+            ends.insert(place, line);
+        }
     }
 
     /// Everything that has to be seen.

@@ -115,8 +115,8 @@ impl Plot {
         let lone = line("poses", BLUE, 4.0, 1.0);
 
         let panel = equal_axes(self.map.points());
-        let view = if *in_space { " (seen from above)" } else { "" };
-        panel.draw(svg, &format!("x [m]{view}"), "y [m]");
+        let view = if *in_space { " [m] (seen from above)" } else { " [m]" };
+        panel.draw(svg, ["x", view], ["y", " [m]"]);
         svg.lines(closed, closures.iter().map(|ends| ends.map(|at| panel.place(at))));
         svg.lines(driven, trajectory.iter().map(|line| line.iter().map(|&at| panel.place(at))));
         // A line of one point is none.
@@ -172,7 +172,7 @@ fn draw_times(times: &[(StepName, f64)], svg: &mut Svg) {
         x: Scale::linear([0.0, times.len().max(1) as f64], [LEFT, RIGHT]),
         y: Scale::logarithmic(range, [TIMES_BOTTOM, TIMES_TOP]),
     };
-    panel.draw(svg, "step", "time of the update [ms]");
+    panel.draw(svg, ["step", ""], ["time of the update", " [ms]"]);
     let mut entries = Vec::new();
     for (name, class, text, colour, width) in [
         (StepName::Explore, "explore", "new ground", BLUE, 2.2),

@@ -105,7 +105,13 @@ fn collect(
         let ratio = pivot * pivot / workspace.diagonal[j];
         // Written so that NaN (no information at all: 0/0) fails too.
         if !(ratio > QR_PIVOT.max(QR_PRODUCT / weakest) && ratio.is_finite()) {
-            return Err(Failure::Undetermined { variable: frontal_at(system, structure, j) });
+            let variable = frontal_at(system, structure, j);
+            // A square that is not finite says nothing about what is determined.
+            let finite = (pivot * pivot).is_finite() && workspace.diagonal[j].is_finite();
+            return Err(match finite {
+                true => Failure::Undetermined { variable },
+                false => Failure::Overflow { variable },
+            });
         }
         pivot_ratio = pivot_ratio.min(ratio);
         weakest = weakest.min(ratio);
