@@ -15,7 +15,7 @@ use crate::files;
 use crate::options::{Common, Policy, Reading, Solving, StartFrom};
 use crate::output::Output;
 use crate::progress::Progress;
-use crate::replay::unsolvable;
+use crate::replay::{unsolvable, warn_of_landmarks};
 use crate::report::{self, SCHEMA};
 use crate::table::{CONVENTION, Rows, milliseconds, number};
 
@@ -61,7 +61,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let settings =
         arguments.solving.settings(arguments.policy.relinearization("audit")?, common.threads());
     let document = arguments.reading.read(&arguments.file, common)?;
-    for path in [&arguments.steps, &common.report].into_iter().flatten() {
+    let targets = || [&arguments.steps, &common.report].into_iter().flatten();
+    files::check_distinct("audit", targets().map(PathBuf::as_path))?;
+    for path in targets() {
         files::check_writable(path)?;
     }
     let options = arguments.solving.replay_options(arguments.initial);
@@ -94,6 +96,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         "time": { "total_s": total_s },
     });
     report::save(common.report.as_deref(), &report)?;
+    warn_of_landmarks(&replayer, output);
 
     let mut rows = Rows::new("data set", &dataset);
     rows.add("steps (poses)", replayer.poses());

@@ -137,6 +137,28 @@ pub(crate) fn check_output(
     check_writable(path)
 }
 
+/// That no two targets are one file, where the later would take the earlier's place.
+pub(crate) fn check_distinct<'a>(
+    command: &'static str,
+    targets: impl IntoIterator<Item = &'a Path>,
+) -> Result<(), Error> {
+    let mut seen: Vec<PathBuf> = Vec::new();
+    for path in targets {
+        // A device takes any number of them.
+        if fs::metadata(path).is_ok_and(|it| !it.is_file()) {
+            continue;
+        }
+        let place = fs::canonicalize(path).or_else(|_| std::path::absolute(path));
+        let place = place.unwrap_or_else(|_| path.into());
+        if seen.contains(&place) {
+            let message = format!("two of the files to write are {}", path.display());
+            return Err(Error::Usage { command, message });
+        }
+        seen.push(place);
+    }
+    Ok(())
+}
+
 /// Whether a file can be made at the path: asked before long work.
 pub(crate) fn check_writable(path: &Path) -> Result<(), Error> {
     if let Some(folder) = path.parent()

@@ -101,7 +101,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     };
 
     let document = arguments.reading.read(&arguments.file, common)?;
-    let outputs = arguments.outputs.prepare(&document, common.report.as_deref())?;
+    let outputs =
+        arguments.outputs.prepare("optimize", &document, [common.report.as_deref(), None])?;
     let begins = Instant::now();
     let (document, from) = match arguments.init {
         Init::File => (document, StartFrom::File),

@@ -63,18 +63,22 @@ pub(crate) struct Prepared<'a> {
 }
 
 impl Outputs {
-    /// Checks every target, that of the report too, and reads the times.
+    /// Checks every target, `others` too, and reads the times.
     pub(crate) fn prepare(
         &self,
+        command: &'static str,
         document: &Document,
-        report: Option<&Path>,
+        others: [Option<&Path>; 2],
     ) -> Result<Prepared<'_>, Error> {
+        let plot = self.plot.as_ref().map(PlotPath::path);
+        let trajectory = self.trajectory.as_ref().map(|it| it.path.as_path());
+        let [one, other] = others;
+        let besides = || [one, other, plot, trajectory].into_iter().flatten();
+        files::check_distinct(command, besides().chain(self.output.as_deref()))?;
         if let Some(path) = &self.output {
             files::check_output(path, document, self.options())?;
         }
-        let plot = self.plot.as_ref().map(PlotPath::path);
-        let trajectory = self.trajectory.as_ref().map(|it| it.path.as_path());
-        for path in [report, plot, trajectory].into_iter().flatten() {
+        for path in besides() {
             files::check_writable(path)?;
         }
         let stamps = match &self.times {

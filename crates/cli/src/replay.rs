@@ -104,7 +104,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         arguments.solving.settings(arguments.policy.relinearization("replay")?, common.threads());
 
     let (document, dataset) = read(arguments)?;
-    let outputs = arguments.outputs.prepare(&document, common.report.as_deref())?;
+    let others = [common.report.as_deref(), arguments.steps.as_deref()];
+    let outputs = arguments.outputs.prepare("replay", &document, others)?;
     let options = arguments.solving.replay_options(arguments.initial);
     let mut replayer =
         Replayer::new(&document, &options, settings)?.with_full_estimate(arguments.full_estimate);

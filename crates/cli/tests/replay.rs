@@ -278,3 +278,12 @@ fn the_output_of_a_cut_replay_holds_what_came_in() {
     assert!(one.contains("FIX 10") && !one.contains("EDGE"), "{one}");
     folder.run("info one.g2o").done();
 }
+
+#[test]
+fn two_outputs_cannot_be_one_file() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    let line = "replay square.g2o --report a.json --steps ./a.json";
+    folder.run(line).failed(2, &["two of the files to write are ./a.json"]);
+    assert_eq!(folder.list(), ["square.g2o"]);
+    folder.run("replay square.g2o --report /dev/null --steps /dev/null").done();
+}

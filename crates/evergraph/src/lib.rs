@@ -90,7 +90,10 @@ pub use replayer::{Replayed, Replayer, ReplayerError};
 /// What most programs need, in one line.
 pub mod prelude {
     pub use crate::replayer::{Replayed, Replayer};
-    pub use evergraph_factors::{BetweenPose2, BetweenPose3, Prior};
+    pub use evergraph_factors::{
+        Bearing2, Bearing3, BearingRange2, BearingRange3, BetweenPose2, BetweenPose3, Geodetic,
+        GpsPosition2, GpsPosition3, LocalFrame, Prior, Range, RelativePosition2, RelativePosition3,
+    };
     pub use evergraph_formats::{Document, ReadOptions, ReplayOptions};
     pub use evergraph_model::{
         Change, Factor, Graph, Key, LieGroup, Manifold, Noise, Point2, Point3, Pose2, Pose3,

@@ -16,7 +16,8 @@ pub(crate) fn explain(error: &SmootherError, id: &dyn Fn(VariableId) -> Option<u
             let (variables, directions) = (plural(*count, "variable"), plural(*free, "direction"));
             format!(
                 "the connected component of {} ({variables}) can move as a whole in {directions}: nothing \
-                 says where it is. Give one of its variables a prior, GPS or another absolute measurement",
+                 says where it is, or nothing of a weight that tells beside the others'. Give one of its \
+                 variables a prior, GPS or another absolute measurement",
                 names.join(", ")
             )
         }

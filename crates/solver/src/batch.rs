@@ -105,7 +105,7 @@ const LARGEST_DAMPING: f64 = 1e12;
 /// A step that moves every number by no more than this, relative to the number or to 1, whichever is
 /// larger, moves nothing: where measurements agree exactly, the error is rounding and no share of it
 /// means anything.
-const STILL: f64 = 1e-13;
+const STILL: f64 = 1e-15;
 /// A decrease of no more than this for each row of the residual is none: 3e-8 standard deviations.
 const NOTHING: f64 = 1e-15;
 /// A trust region this small relative to the Gauss-Newton step moves nothing.

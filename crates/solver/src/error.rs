@@ -71,7 +71,7 @@ pub enum Singular {
         variables: Vec<FreeVariable>,
     },
     /// All variables of a connected component can move together.
-    #[error("the connected component of {} ({count} variable{}) can move as a whole in {free} direction{}: nothing says where it is. Put a prior, GPS or another absolute measurement on one of its variables", list(examples), if *count == 1 { "" } else { "s" }, if *free == 1 { "" } else { "s" })]
+    #[error("the connected component of {} ({count} variable{}) can move as a whole in {free} direction{}: nothing says where it is, or nothing of a weight that tells beside the others'. Put a prior, GPS or another absolute measurement on one of its variables", list(examples), if *count == 1 { "" } else { "s" }, if *free == 1 { "" } else { "s" })]
     Component {
         /// A few of its variables.
         examples: Vec<VariableId>,
