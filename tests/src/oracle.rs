@@ -9,6 +9,9 @@ use faer::sparse::{SparseColMat, Triplet};
 /// Below this, numbers have too few bits to be right relative to anything.
 const NOTHING: f64 = 1e-290;
 
+/// Systems of up to so many columns are solved densely.
+const DENSE: usize = 300;
+
 /// Checks that the tree is the factorization of the linearized problem and its solution right.
 ///
 /// With `H = JᵀJ`, and `J` from the smoother's linearization points:
@@ -16,7 +19,7 @@ const NOTHING: f64 = 1e-290;
 /// - `|RᵀR − H|ᵢⱼ ≤ 1e-10 √(Hᵢᵢ Hⱼⱼ)`,
 /// - `|Jᵀ(Jδ + r)|∞ ≤ 1e-10 (|H| |δ| + |Jᵀr|)∞`, or what an orthogonal factorization rounds away,
 ///   `10 ε maxⱼ‖Jⱼ‖ ‖r‖` (it is stable by norms, not by entries),
-/// - δ agrees with faer's sparse QR of `J` within `max(1e-9, 10 ε cond)` relative, or, where δ is
+/// - δ agrees with faer's QR of `J`, dense for small systems and sparse for large ones, within `max(1e-9, 10 ε cond)` relative, or, where δ is
 ///   next to nothing beside the residual that it comes from, within `10 ε cond ‖r‖`. Components are
 ///   measured in units of `1/√Hᵢᵢ`, and `cond` is the condition number of H so scaled.
 ///
@@ -76,12 +79,22 @@ fn check_gradient(jacobian: &Sparse, system: &LinearSystem, at: &str) {
 }
 
 fn check_solution(jacobian: &Sparse, factor: &Sparse, system: &LinearSystem, at: &str) {
-    let triplets: Vec<_> = system.jacobian.iter().map(|&(i, j, x)| Triplet::new(i, j, x)).collect();
-    let matrix =
-        SparseColMat::<usize, f64>::try_new_from_triplets(system.rows, system.columns, &triplets)
-            .expect("entries of J lie inside it");
     let rhs = faer::Col::from_fn(system.rows, |i| -system.residual[i]);
-    let fresh = matrix.sp_qr().expect("memory for the reference solution").solve_lstsq(&rhs);
+    let fresh = if system.columns <= DENSE && system.rows <= 10 * DENSE {
+        let mut dense = faer::Mat::<f64>::zeros(system.rows, system.columns);
+        system.jacobian.iter().for_each(|&(i, j, x)| dense[(i, j)] += x);
+        dense.qr().solve_lstsq(&rhs)
+    } else {
+        let entries = system.jacobian.iter().map(|&(i, j, x)| Triplet::new(i, j, x));
+        let entries: Vec<_> = entries.collect();
+        let sparse = SparseColMat::<usize, f64>::try_new_from_triplets(
+            system.rows,
+            system.columns,
+            &entries,
+        );
+        let sparse = sparse.expect("entries of J lie inside it");
+        sparse.sp_qr().expect("memory for the reference solution").solve_lstsq(&rhs)
+    };
     let (mut off, mut size) = (0.0_f64, 0.0_f64);
     for (i, h) in jacobian.column_norms_squared().into_iter().enumerate() {
         off = off.max(h.sqrt() * (system.delta[i] - fresh[i]).abs());
