@@ -13,10 +13,9 @@ use crate::quadratic::{
     decrease_of_model, diagonal, gradient, retract_all, scaled_norm, steepest_descent,
     within_radius,
 };
-use crate::smoother::Smoother;
+use crate::smoother::{Scratch, Smoother};
 use crate::solve;
 use crate::tree::Tree;
-use crate::update::{Affected, in_place, mark_all};
 
 /// How steps are chosen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -141,9 +140,11 @@ impl Smoother {
         let (at_estimate, at_points) =
             (self.graph.error(&estimate), self.graph.error(&self.points));
         let start = if at_estimate <= at_points { estimate } else { self.points.clone() };
-        let affected = Affected::everything(&self.tree);
-        let newest = self.newest;
-        let job = affected.plan(&self.graph, &self.tree, newest, &mut self.scratch.local);
+        let Scratch { planner, job, .. } = &mut self.scratch;
+        planner.gather_everything(&self.graph, &self.tree);
+        planner.plan(&self.graph, &self.tree, self.newest, job);
+        // The cliques go into an empty tree; this one is kept in case of failure.
+        planner.detached.clear();
         let saved = Saved {
             points: std::mem::replace(&mut self.points, start),
             blocks: self.blocks.clone(),
@@ -151,9 +152,8 @@ impl Smoother {
             solution: self.solution.clone(),
         };
         let result = self.relinearize_all().and_then(|()| {
-            let eliminated =
-                self.eliminate(&job, None).map_err(|failure| self.explain(failure, &[], &[]))?;
-            self.install(&Affected::default(), job, eliminated);
+            self.eliminate(None).map_err(|failure| self.explain(failure, &[], &[]))?;
+            self.install();
             let initial_error = at_estimate.min(at_points);
             match settings.method {
                 Method::Dogleg => self.dogleg(settings, initial_error),
@@ -343,16 +343,16 @@ impl Smoother {
 
     /// Eliminates all cliques again with `damping · diag(JᵀJ)` added.
     fn eliminate_in_place(&mut self, damping: f64) -> Result<(), SmootherError> {
-        let job = in_place(&self.tree, &mark_all(&self.tree));
+        let Scratch { planner, job, .. } = &mut self.scratch;
+        planner.gather_all_in_place(&self.graph, &self.tree);
+        planner.plan(&self.graph, &self.tree, self.newest, job);
         let added = (damping > 0.0).then(|| {
             let mut diagonal = diagonal(&self.graph, &self.blocks);
             diagonal.iter_mut().for_each(|d| *d *= damping);
             diagonal
         });
-        let eliminated = self
-            .eliminate(&job, added.as_deref())
-            .map_err(|failure| self.explain(failure, &[], &[]))?;
-        self.install_numbers(&job, eliminated);
+        self.eliminate(added.as_deref()).map_err(|failure| self.explain(failure, &[], &[]))?;
+        self.install();
         Ok(())
     }
 }

@@ -66,14 +66,15 @@ impl Smoother {
         }
         for &c in &cliques {
             let clique = self.tree.clique(c);
-            let n = clique.structure.front_dim();
             let scalars = scalars_of(&clique.structure.variables().collect::<Vec<_>>());
-            for (j, panel) in clique.numeric.panel.chunks_exact(n).enumerate() {
-                let row = column_of[scalars[j]];
-                for i in j..n - 1 {
-                    system.factor.push((row, column_of[scalars[i]], panel[i]));
+            for j in 0..clique.numeric.layout.frontal() {
+                let column = column_of[scalars[j]];
+                let row = clique.numeric.row(j);
+                let (rhs, row) = row.split_last().expect("a row ends with the right-hand side");
+                for (&scalar, &x) in scalars[j..].iter().zip(row) {
+                    system.factor.push((column, column_of[scalar], x));
                 }
-                system.rhs[row] = panel[n - 1];
+                system.rhs[column] = *rhs;
             }
         }
         let delta = solve::all(graph, &self.tree);

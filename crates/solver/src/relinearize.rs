@@ -6,8 +6,7 @@ use tracing::debug;
 use crate::batch::{BatchReport, BatchSettings};
 use crate::error::SmootherError;
 use crate::report::Report;
-use crate::smoother::Smoother;
-use crate::update::{Affected, in_place, mark};
+use crate::smoother::{Scratch, Smoother};
 
 /// When more than this share of the cliques has to be eliminated again, a fresh order for the
 /// whole graph costs little more and gives better fill.
@@ -83,7 +82,7 @@ impl Smoother {
                 break;
             }
         }
-        let result = result.and_then(|()| self.eliminate_moved(variables, &factors));
+        let result = result.and_then(|()| self.eliminate_moved(&factors));
         match result {
             Ok(cliques) => {
                 for &v in variables {
@@ -103,35 +102,28 @@ impl Smoother {
         }
     }
 
-    fn eliminate_moved(
-        &mut self,
-        variables: &[u32],
-        factors: &[u32],
-    ) -> Result<usize, SmootherError> {
-        let touched =
-            factors.iter().flat_map(|&f| self.graph.variables_at(f as usize).iter().copied());
-        let marked = mark(&self.tree, touched.chain(variables.iter().copied()));
-        let count = marked.count;
+    fn eliminate_moved(&mut self, factors: &[u32]) -> Result<usize, SmootherError> {
+        let Scratch { planner, job, .. } = &mut self.scratch;
+        planner.gather_in_place(&self.graph, &self.tree, factors);
+        let count = planner.marked();
         if count as f64 > REBUILD_SHARE * self.tree.len() as f64 {
             self.rebuild()?;
             return Ok(self.tree.len());
         }
-        let job = in_place(&self.tree, &marked);
-        let eliminated =
-            self.eliminate(&job, None).map_err(|failure| self.explain(failure, &[], &[]))?;
-        self.install_numbers(&job, eliminated);
+        planner.plan(&self.graph, &self.tree, self.newest, job);
+        self.eliminate(None).map_err(|failure| self.explain(failure, &[], &[]))?;
+        self.install();
         Ok(count)
     }
 
     /// Eliminates everything in a fresh order, at the current linearization.
     pub(crate) fn rebuild(&mut self) -> Result<(), SmootherError> {
         debug!(step = self.steps, cliques = self.tree.len(), "everything in a fresh order");
-        let affected = Affected::everything(&self.tree);
-        let newest = self.newest;
-        let job = affected.plan(&self.graph, &self.tree, newest, &mut self.scratch.local);
-        let eliminated =
-            self.eliminate(&job, None).map_err(|failure| self.explain(failure, &[], &[]))?;
-        self.install(&affected, job, eliminated);
+        let Scratch { planner, job, .. } = &mut self.scratch;
+        planner.gather_everything(&self.graph, &self.tree);
+        planner.plan(&self.graph, &self.tree, self.newest, job);
+        self.eliminate(None).map_err(|failure| self.explain(failure, &[], &[]))?;
+        self.install();
         Ok(())
     }
 

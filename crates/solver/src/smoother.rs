@@ -5,16 +5,16 @@ use std::sync::Arc;
 use evergraph_model::{Change, Graph, Staged};
 use tracing::trace;
 
-use crate::dense::select_arch;
+use crate::dense::Instructions;
 use crate::diagnose;
-use crate::eliminate::{self, Eliminated, Failure, Job, NodeStructure, System, Workspace};
+use crate::eliminate::{self, Eliminated, Failure, Job, System, Workspace};
 use crate::error::SmootherError;
 use crate::linearization::Blocks;
 use crate::report::Report;
 use crate::settings::Settings;
 use crate::solve;
 use crate::tree::{Clique, NONE, Tree};
-use crate::update::Affected;
+use crate::update::Planner;
 
 /// An incremental smoother: a factor graph, its square-root information matrix as a tree of
 /// cliques, and the estimate.
@@ -44,20 +44,36 @@ pub struct Smoother {
 /// Buffers and helpers that are not part of the state.
 #[derive(Debug)]
 pub(crate) struct Scratch {
+    pub(crate) planner: Planner,
+    pub(crate) job: Job,
+    pub(crate) eliminated: Eliminated,
     pub(crate) workspace: Workspace,
-    pub(crate) local: Vec<u32>,
-    pub(crate) arch: pulp::Arch,
+    /// The clique of each node of a job that is installed.
+    pub(crate) installed: Vec<u32>,
+    /// Cliques taken out of the tree whose first frontals stay.
+    pub(crate) shortened: Vec<Option<Clique>>,
+    pub(crate) instructions: Instructions,
     pub(crate) pool: Option<Arc<rayon::ThreadPool>>,
+}
+
+impl Scratch {
+    fn new(instructions: Instructions, pool: Option<Arc<rayon::ThreadPool>>) -> Self {
+        Self {
+            planner: Planner::default(),
+            job: Job::default(),
+            eliminated: Eliminated::default(),
+            workspace: Workspace::default(),
+            installed: Vec::new(),
+            shortened: Vec::new(),
+            instructions,
+            pool,
+        }
+    }
 }
 
 impl Clone for Scratch {
     fn clone(&self) -> Self {
-        Self {
-            workspace: Workspace::default(),
-            local: Vec::new(),
-            arch: self.arch,
-            pool: self.pool.clone(),
-        }
+        Self::new(self.instructions, self.pool.clone())
     }
 }
 
@@ -95,12 +111,7 @@ impl Smoother {
             newest: NONE,
             steps: 0,
             at_optimum: false,
-            scratch: Scratch {
-                workspace: Workspace::default(),
-                local: Vec::new(),
-                arch: select_arch(),
-                pool,
-            },
+            scratch: Scratch::new(Instructions::select()?, pool),
         })
     }
 
@@ -120,34 +131,33 @@ impl Smoother {
         // 1. Check the change, and add to the graph what it adds.
         let staged = self.graph.stage(&change)?;
         let moved: Vec<u32> = change.moves().iter().map(|(v, _)| v.index() as u32).collect();
-        // 2. Detach the cliques that it touches and their ancestors; gather their factors.
-        let affected = Affected::by_change(&self.graph, &self.tree, &staged, &moved);
-        // 3. Linearize new factors, and those of moved variables.
+        // 2. Linearize new factors, and those of moved variables.
         let mut undo = Undo { points_len: self.points.len(), ..Undo::default() };
         if let Err(error) = self.linearize(&change, &staged, &mut undo) {
             return Err(self.roll_back(undo, staged, error));
         }
-        // 4. Order the affected variables and build the new cliques.
+        // 3. Detach the cliques that it touches and their ancestors; gather their factors.
         let newest = self.newest_after(&staged);
-        let job = affected.plan(&self.graph, &self.tree, newest, &mut self.scratch.local);
+        let Scratch { planner, job, .. } = &mut self.scratch;
+        planner.gather_change(&self.graph, &self.tree, &staged, &moved);
+        // 4. Order the affected variables and build the new cliques.
+        planner.plan(&self.graph, &self.tree, newest, job);
+        let (variables_eliminated, subtrees_kept) =
+            (planner.variables.len(), planner.orphans.len());
         // 5. Eliminate them, bottom-up.
-        let eliminated = match self.eliminate(&job, None) {
-            Ok(eliminated) => eliminated,
-            Err(failure) => {
-                let error =
-                    self.explain(failure, staged.dropped_factors(), staged.dropped_variables());
-                return Err(self.roll_back(undo, staged, error));
-            }
-        };
+        if let Err(failure) = self.eliminate(None) {
+            let error = self.explain(failure, staged.dropped_factors(), staged.dropped_variables());
+            return Err(self.roll_back(undo, staged, error));
+        }
         // 6. Commit.
         let mut report = Report {
-            variables_eliminated: affected.variables.len(),
-            cliques_eliminated: job.nodes.len(),
-            subtrees_kept: affected.orphans.len(),
-            smallest_pivot_ratio: smallest_pivot_ratio(&eliminated),
+            variables_eliminated,
+            cliques_eliminated: self.scratch.job.nodes.len(),
+            subtrees_kept,
+            smallest_pivot_ratio: self.scratch.eliminated.smallest_pivot_ratio(),
             ..Report::default()
         };
-        self.install(&affected, job, eliminated);
+        self.install();
         self.commit(staged, &moved);
         self.newest = newest;
         self.steps += 1;
@@ -237,22 +247,18 @@ impl Smoother {
         new.map_or(if dropped { NONE } else { self.newest }, |v| v as u32)
     }
 
-    /// Eliminates a job with the current blocks and settings.
-    pub(crate) fn eliminate(
-        &mut self,
-        job: &Job,
-        damping: Option<&[f64]>,
-    ) -> Result<Eliminated, Failure> {
+    /// Eliminates the job at hand with the current blocks and settings.
+    pub(crate) fn eliminate(&mut self, damping: Option<&[f64]>) -> Result<(), Failure> {
         let system = System {
             graph: &self.graph,
             blocks: &self.blocks,
             tree: &self.tree,
             elimination: self.settings.elimination,
-            arch: self.scratch.arch,
+            instructions: self.scratch.instructions,
             damping,
         };
-        let pool = self.scratch.pool.as_deref();
-        eliminate::eliminate(&system, job, &mut self.scratch.workspace, pool)
+        let Scratch { job, eliminated, workspace, pool, .. } = &mut self.scratch;
+        eliminate::eliminate(&system, job, eliminated, workspace, pool.as_deref())
     }
 
     /// Puts a failure into words; factors and variables that are being dropped (ascending) do not
@@ -273,58 +279,6 @@ impl Smoother {
         }
     }
 
-    /// Replaces the detached cliques by the job's.
-    pub(crate) fn install(&mut self, affected: &Affected, job: Job, eliminated: Eliminated) {
-        for &clique in &affected.detached {
-            self.tree.remove(clique);
-        }
-        let mut index_of = Vec::with_capacity(job.nodes.len());
-        for (node, numeric) in job.nodes.into_iter().zip(eliminated.nodes) {
-            let NodeStructure::New(structure) = node.structure else {
-                unreachable!("in-place jobs are installed by `install_numbers`");
-            };
-            let children = node
-                .children
-                .iter()
-                .map(|child| match child {
-                    eliminate::Child::Node(n) => index_of[*n],
-                    eliminate::Child::Kept(clique) => *clique,
-                })
-                .collect();
-            let numeric = numeric.expect("a finished elimination has numbers for every node");
-            let index =
-                self.tree.insert(Clique { structure, numeric, parent: NONE, children, solved: 0 });
-            for child in self.tree.clique(index).children.clone() {
-                self.tree.clique_mut(child).parent = index;
-            }
-            if node.parent.is_none() {
-                self.tree.roots.insert(index);
-            }
-            index_of.push(index);
-        }
-        for (clique, numeric) in eliminated.kept {
-            let clique = self.tree.clique_mut(clique);
-            clique.numeric = numeric;
-            clique.solved = 0;
-        }
-    }
-
-    /// Gives existing cliques the new numbers of an in-place job.
-    pub(crate) fn install_numbers(&mut self, job: &Job, eliminated: Eliminated) {
-        for (node, numeric) in job.nodes.iter().zip(eliminated.nodes) {
-            if let (NodeStructure::Existing(index), Some(numeric)) = (&node.structure, numeric) {
-                let clique = self.tree.clique_mut(*index);
-                clique.numeric = numeric;
-                clique.solved = 0;
-            }
-        }
-        for (clique, numeric) in eliminated.kept {
-            let clique = self.tree.clique_mut(clique);
-            clique.numeric = numeric;
-            clique.solved = 0;
-        }
-    }
-
     fn commit(&mut self, staged: Staged, moved: &[u32]) {
         for &factor in staged.dropped_factors() {
             self.blocks.remove(factor as usize);
@@ -338,8 +292,4 @@ impl Smoother {
         }
         self.graph.commit(staged);
     }
-}
-
-fn smallest_pivot_ratio(eliminated: &Eliminated) -> f64 {
-    eliminated.nodes.iter().flatten().map(|n| n.pivot_ratio).fold(f64::INFINITY, f64::min)
 }

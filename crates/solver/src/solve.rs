@@ -16,20 +16,21 @@ fn solve_clique(
     scratch: &mut Vec<f64>,
     read: impl Fn(u32, &mut [f64]),
 ) {
-    let structure = &clique.structure;
-    let (n, frontal) = (structure.front_dim(), structure.frontal_dim);
+    let layout = clique.numeric.layout;
+    let (n, frontal) = (layout.columns(), layout.frontal());
     scratch.clear();
     scratch.resize(n, 0.0);
     let mut at = frontal;
-    for &v in &structure.separator {
+    for &v in &clique.structure.separator {
         let dim = graph.dim_at(v as usize);
         read(v, &mut scratch[at..at + dim]);
         at += dim;
     }
-    // The right-hand side is the last row of the panel: it joins the sum with coefficient 1.
+    // The right-hand side is the last entry of a row: it joins the sum with coefficient 1.
     scratch[n - 1] = 1.0;
-    for (j, column) in clique.numeric.panel.chunks_exact(n).enumerate().rev() {
-        scratch[j] = -dot(&column[j + 1..], &scratch[j + 1..]) / column[j];
+    for j in (0..frontal).rev() {
+        let row = clique.numeric.row(j);
+        scratch[j] = -dot(&row[1..], &scratch[j + 1..]) / row[0];
     }
     scratch.truncate(frontal);
 }

@@ -6,7 +6,11 @@
 use std::collections::BTreeSet;
 use std::hash::{Hash, Hasher};
 
+use evergraph_model::Graph;
 use smallvec::SmallVec;
+
+use crate::dense::FrontLayout;
+use crate::pool::Pool;
 
 /// "No clique": of variables outside the tree, and the parent of roots.
 pub(crate) const NONE: u32 = u32::MAX;
@@ -21,15 +25,28 @@ pub(crate) struct Structure {
     /// Factors whose first-eliminated variable is a frontal of this clique.
     pub(crate) factors: SmallVec<[u32; 8]>,
     /// Scalars of the frontals.
-    pub(crate) frontal_dim: usize,
+    pub(crate) frontal_dim: u32,
     /// Scalars of the separator.
-    pub(crate) separator_dim: usize,
+    pub(crate) separator_dim: u32,
 }
 
 impl Structure {
-    /// Columns of the front: frontals, separator, right-hand side.
-    pub(crate) fn front_dim(&self) -> usize {
-        self.frontal_dim + self.separator_dim + 1
+    /// A clique that owns no factors yet.
+    pub(crate) fn new(
+        graph: &Graph,
+        frontals: SmallVec<[u32; 4]>,
+        separator: SmallVec<[u32; 8]>,
+    ) -> Self {
+        let dim =
+            |variables: &[u32]| variables.iter().map(|&v| graph.dim_at(v as usize) as u32).sum();
+        let (frontal_dim, separator_dim) = (dim(&frontals), dim(&separator));
+        Self { frontals, separator, factors: SmallVec::new(), frontal_dim, separator_dim }
+    }
+
+    /// The front: frontals, separator, right-hand side.
+    #[inline(always)]
+    pub(crate) fn layout(&self) -> FrontLayout {
+        FrontLayout::new(self.frontal_dim as usize, self.separator_dim as usize + 1)
     }
 
     pub(crate) fn variables(&self) -> impl Iterator<Item = u32> {
@@ -37,36 +54,90 @@ impl Structure {
     }
 }
 
-/// The numbers of an eliminated clique.
+/// The numbers of an eliminated clique, in one buffer:
+///
+/// - the panel `[R_ff R_fs d]ᵀ`, the frontal columns of a front ([`FrontLayout`]);
+/// - the contribution, what is left for the parent, as [`Form`] says;
+/// - for each separator scalar, the sum of squares of its Jacobian column over all factors of the
+///   subtree; complete once it reaches the clique where the scalar is frontal, where it is the
+///   measure of a pivot.
 #[derive(Clone, Debug)]
 pub(crate) struct Numeric {
-    /// `[R_ff R_fs d]ᵀ`: column-major, `front_dim` rows, one column per frontal scalar. The upper
-    /// triangle of the first rows is zero.
-    pub(crate) panel: Vec<f64>,
-    /// What is left for the parent.
-    pub(crate) contribution: Contribution,
-    /// For each separator scalar, the sum of squares of its Jacobian column over all factors of
-    /// the subtree; complete once it reaches the clique where the scalar is frontal, where it is
-    /// the measure of a pivot.
-    pub(crate) diagonal: Vec<f64>,
+    pub(crate) layout: FrontLayout,
+    pub(crate) form: Form,
+    pub(crate) data: Vec<f64>,
     /// Smallest pivot over its diagonal entry of JᵀJ.
     pub(crate) pivot_ratio: f64,
     /// Smallest pivot ratio of the whole subtree: what its contribution has lost.
     pub(crate) weakest: f64,
 }
 
-/// The information that a subtree passes on about its separator and right-hand side.
-#[derive(Clone, Debug)]
-pub(crate) enum Contribution {
-    /// Schur complement: lower triangle of order `separator_dim + 1`, packed by columns.
-    Information(Vec<f64>),
-    /// A square root of it: `rows` × (`separator_dim + 1`), upper trapezoidal, column-major.
-    Root { rows: usize, data: Vec<f64> },
+/// How a contribution, the information that a subtree passes on about its separator and right-hand
+/// side, is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Form {
+    /// Schur complement: the triangle of a front.
+    Information,
+    /// A square root of it: `rows` × `order`, upper trapezoidal, column-major.
+    Root { rows: u32 },
 }
 
-impl Contribution {
-    pub(crate) fn is_root(&self) -> bool {
+impl Form {
+    pub(crate) fn is_root(self) -> bool {
         matches!(self, Self::Root { .. })
+    }
+
+    /// Numbers in a contribution.
+    fn len(self, layout: FrontLayout) -> usize {
+        match self {
+            Self::Information => layout.triangle_len(),
+            Self::Root { rows } => rows as usize * layout.order(),
+        }
+    }
+}
+
+impl Numeric {
+    /// Numbers in the buffer of a clique.
+    pub(crate) fn len(layout: FrontLayout, form: Form) -> usize {
+        layout.panel_len() + form.len(layout) + layout.order() - 1
+    }
+
+    /// The frontal columns: `layout.rows()` each.
+    pub(crate) fn panel(&self) -> &[f64] {
+        &self.data[..self.layout.panel_len()]
+    }
+
+    /// Row `j` of `[R_ff R_fs d]`, from the diagonal on.
+    pub(crate) fn row(&self, j: usize) -> &[f64] {
+        let start = j * self.layout.rows();
+        &self.data[start + j..start + self.layout.columns()]
+    }
+
+    /// The contribution. There need not be a panel before it.
+    #[inline(always)]
+    pub(crate) fn contribution(&self) -> &[f64] {
+        let end = self.data.len() - (self.layout.order() - 1);
+        &self.data[end - self.form.len(self.layout)..end]
+    }
+
+    /// Whether the panel is left out, because it is that of a clique which is shortened.
+    pub(crate) fn is_without_panel(&self) -> bool {
+        self.data.len() < Self::len(self.layout, self.form)
+    }
+
+    /// The diagonal of JᵀJ for the separator.
+    #[inline(always)]
+    pub(crate) fn diagonal(&self) -> &[f64] {
+        &self.data[self.data.len() - (self.layout.order() - 1)..]
+    }
+
+    /// Makes the numbers of a clique those of its first frontals alone, given these without their
+    /// panel.
+    pub(crate) fn shorten(&mut self, first: &Self) {
+        debug_assert_eq!(first.layout.columns(), self.layout.columns());
+        self.data.truncate(first.layout.panel_len());
+        self.data.extend_from_slice(&first.data);
+        self.layout = first.layout;
     }
 }
 
@@ -114,6 +185,12 @@ impl Tree {
         self.cliques.len() - self.free.len()
     }
 
+    /// The living cliques, by slot.
+    pub(crate) fn indices(&self) -> impl Iterator<Item = u32> {
+        let living = self.cliques.iter().enumerate().filter(|(_, clique)| clique.is_some());
+        living.map(|(index, _)| index as u32)
+    }
+
     pub(crate) fn insert(&mut self, clique: Clique) -> u32 {
         let index = match self.free.pop() {
             Some(index) => index,
@@ -140,6 +217,21 @@ impl Tree {
             self.clique_of[v as usize] = NONE;
         }
         Some(clique)
+    }
+
+    /// Gives a clique new numbers.
+    pub(crate) fn replace_numeric(&mut self, index: u32, numeric: Numeric, pool: &mut Pool) {
+        let clique = self.clique_mut(index);
+        pool.give(std::mem::replace(&mut clique.numeric, numeric).data);
+        clique.solved = 0;
+    }
+
+    /// Tells the children of a clique that it is their parent.
+    pub(crate) fn adopt(&mut self, index: u32) {
+        for at in 0..self.clique(index).children.len() {
+            let child = self.clique(index).children[at];
+            self.clique_mut(child).parent = index;
+        }
     }
 
     /// All cliques, parents before children, roots in their order.
@@ -172,7 +264,7 @@ impl Tree {
             .iter()
             .flatten()
             .map(|c| {
-                let (f, s) = (c.structure.frontal_dim, c.structure.separator_dim);
+                let (f, s) = (c.structure.frontal_dim as usize, c.structure.separator_dim as usize);
                 f * (f + 1) / 2 + f * s
             })
             .sum()
@@ -186,12 +278,7 @@ impl Tree {
             (index, clique.parent, clique.solved, clique.children.as_slice()).hash(hash);
             let Structure { frontals, separator, factors, .. } = &clique.structure;
             (frontals.as_slice(), separator.as_slice(), factors.as_slice()).hash(hash);
-            let numeric = &clique.numeric;
-            let (Contribution::Information(data) | Contribution::Root { data, .. }) =
-                &numeric.contribution;
-            for x in numeric.panel.iter().chain(data).chain(&numeric.diagonal) {
-                hash.write_u64(x.to_bits());
-            }
+            clique.numeric.data.iter().for_each(|x| hash.write_u64(x.to_bits()));
         }
     }
 

@@ -7,16 +7,14 @@
 //!     | B  C  |
 //! ```
 //!
-//! the kernel leaves `L` and `P` in the first `frontal` columns and `S`, the contribution to the
-//! parent, in the trailing square; only the lower triangle is read or meaningful.
+//! the kernel leaves `L` and `P` in the frontal columns and `S`, the contribution to the parent,
+//! in the triangle ([`FrontLayout`]). It looks left: a block of up to eight columns takes in all
+//! columns before it, is factored, and `C` takes in all frontal columns in a single pass, four
+//! columns by a few vectors of rows at a time, which stay in registers.
 
-use faer::linalg::cholesky::llt::factor::{
-    LltParams, LltRegularization, cholesky_in_place, cholesky_in_place_scratch,
-};
-use faer::linalg::matmul::triangular::{BlockStructure, matmul};
-use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
-use faer::{Accum, MatMut, Par, Spec};
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
+
+use super::layout::FrontLayout;
 
 /// A pivot that is not safely positive: its column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,218 +41,253 @@ impl PivotBound {
     /// Whether `pivot` is sound beside its diagonal entry, once the smallest ratio of the same
     /// front is `smallest`. Written so that NaN is not.
     #[inline(always)]
-    fn allows(self, pivot: f64, diagonal: f64, smallest: f64) -> bool {
+    pub(super) fn allows(self, pivot: f64, diagonal: f64, smallest: f64) -> bool {
         pivot > self.ratio * diagonal
             && pivot * self.weakest.min(smallest) > self.product * diagonal
             && pivot.is_finite()
     }
 }
 
-/// The widest instruction set of this machine.
-pub(crate) fn select_arch() -> Arch {
-    Arch::new()
+/// A front to factor; see [`super::partial_cholesky`].
+pub(crate) struct PartialCholesky<'a> {
+    pub(crate) layout: FrontLayout,
+    /// The frontal columns.
+    pub(crate) panel: &'a mut [f64],
+    /// The other columns.
+    pub(crate) triangle: &'a mut [f64],
+    /// Diagonal of JᵀJ for the frontal columns.
+    pub(crate) diagonal: &'a [f64],
+    pub(crate) bound: PivotBound,
 }
 
-/// Eliminates the first `frontal` columns of the `n` × `n` column-major `front`.
-///
-/// `diagonal[j]` is the diagonal entry of JᵀJ that belongs to frontal column `j`; a pivot that is
-/// below `bound` of it has lost its digits and ends the elimination. Returns the smallest pivot
-/// ratio. O(frontal · n²).
-pub(crate) fn partial_cholesky(
-    arch: Arch,
-    front: &mut [f64],
-    n: usize,
-    frontal: usize,
-    diagonal: &[f64],
-    bound: PivotBound,
-) -> Result<f64, BadPivot> {
-    let kernel = PartialCholesky { front, n, frontal, diagonal, bound };
-    if n > super::LARGE && frontal > 32 { kernel.by_faer() } else { arch.dispatch(kernel) }
-}
-
-struct PartialCholesky<'a> {
-    front: &'a mut [f64],
-    n: usize,
-    frontal: usize,
-    diagonal: &'a [f64],
-    bound: PivotBound,
-}
-
-/// Columns eliminated together; their multiples are subtracted from the rest in one pass.
-const PANEL: usize = 8;
+/// Columns factored together.
+const BLOCK: usize = 8;
 
 impl WithSimd for PartialCholesky<'_> {
     type Output = Result<f64, BadPivot>;
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
-        let Self { front, n, frontal, diagonal, bound } = self;
+        let Self { layout, panel, triangle, diagonal, bound } = self;
+        let (frontal, rows) = (layout.frontal(), layout.rows());
         let mut smallest = f64::INFINITY;
-        let mut start = 0;
-        while start < frontal {
-            let width = PANEL.min(frontal - start);
-            let (panel, rest) = front[start * n..].split_at_mut(width * n);
-            for j in 0..width {
-                let (done, column) = panel.split_at_mut(j * n);
-                let column = &mut column[start + j..n];
-                for done in done.chunks_exact(n) {
-                    let row = &done[start + j..];
-                    subtract_multiple(simd, column, row, row[0]);
-                }
-                let pivot = column[0];
-                let scale = diagonal[start + j];
-                if !bound.allows(pivot, scale, smallest) {
-                    return Err(BadPivot { column: start + j });
-                }
-                smallest = smallest.min(pivot / scale);
-                let root = pivot.sqrt();
-                column[0] = root;
-                scale_by(simd, &mut column[1..], 1.0 / root);
+        for start in (0..frontal).step_by(BLOCK) {
+            let end = frontal.min(start + BLOCK);
+            let (done, block) = panel[..end * rows].split_at_mut(start * rows);
+            if start > 0 {
+                let source = Source { columns: done, rows, count: start };
+                source.subtract_from(simd, block, rows, start, start);
             }
-            if width == PANEL {
-                subtract_panel(simd, panel, rest, n, start + PANEL);
-            } else {
-                for (k, column) in rest.chunks_exact_mut(n).enumerate() {
-                    let row = start + width + k;
-                    for done in panel.chunks_exact(n) {
-                        subtract_multiple(simd, &mut column[row..], &done[row..], done[row]);
-                    }
-                }
-            }
-            start += width;
+            let bound = PivotBound { weakest: bound.weakest.min(smallest), ..bound };
+            let diagonal = &diagonal[start..end];
+            let factored = match end - start {
+                1 => factor_block::<S, 1>(simd, block, rows, start, diagonal, bound),
+                2 => factor_block::<S, 2>(simd, block, rows, start, diagonal, bound),
+                3 => factor_block::<S, 3>(simd, block, rows, start, diagonal, bound),
+                4 => factor_block::<S, 4>(simd, block, rows, start, diagonal, bound),
+                5 => factor_block::<S, 5>(simd, block, rows, start, diagonal, bound),
+                6 => factor_block::<S, 6>(simd, block, rows, start, diagonal, bound),
+                7 => factor_block::<S, 7>(simd, block, rows, start, diagonal, bound),
+                _ => factor_block::<S, 8>(simd, block, rows, start, diagonal, bound),
+            };
+            smallest = smallest.min(factored?);
         }
+        subtract_outer(simd, layout, panel, triangle);
         Ok(smallest)
     }
 }
 
-/// `y *= a`.
-#[inline(always)]
-fn scale_by<S: Simd>(simd: S, y: &mut [f64], a: f64) {
-    let (head, tail) = S::as_mut_simd_f64s(y);
-    let factor = simd.splat_f64s(a);
-    for y in head {
-        *y = simd.mul_f64s(*y, factor);
-    }
-    for y in tail {
-        *y *= a;
+/// `S = C − P Pᵀ` alone, for a front whose frontal columns are known.
+pub(crate) struct SubtractOuter<'a> {
+    pub(crate) layout: FrontLayout,
+    /// The frontal columns, at least.
+    pub(crate) panel: &'a [f64],
+    /// The other columns.
+    pub(crate) triangle: &'a mut [f64],
+}
+
+impl WithSimd for SubtractOuter<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        subtract_outer(simd, self.layout, self.panel, self.triangle);
     }
 }
 
-/// `y -= a x`.
 #[inline(always)]
-fn subtract_multiple<S: Simd>(simd: S, y: &mut [f64], x: &[f64], a: f64) {
-    let x = &x[..y.len()];
-    let (y_head, y_tail) = S::as_mut_simd_f64s(y);
-    let (x_head, x_tail) = S::as_simd_f64s(x);
-    let factor = simd.splat_f64s(-a);
-    for (y, x) in y_head.iter_mut().zip(x_head) {
-        *y = simd.mul_add_e_f64s(factor, *x, *y);
-    }
-    for (y, x) in y_tail.iter_mut().zip(x_tail) {
-        *y -= a * x;
+fn subtract_outer<S: Simd>(simd: S, layout: FrontLayout, panel: &[f64], triangle: &mut [f64]) {
+    let (frontal, group) = (layout.frontal(), layout.group());
+    let source = Source { columns: panel, rows: layout.rows(), count: frontal };
+    let mut rest = triangle;
+    let mut column = frontal;
+    while column < layout.columns() {
+        let first_row = column / group * group;
+        let height = layout.rows() - first_row;
+        let width = (first_row + group).min(layout.columns()) - column;
+        let (columns, tail) = rest.split_at_mut(width * height);
+        rest = tail;
+        source.subtract_from(simd, columns, height, first_row, column);
+        column += width;
     }
 }
 
-/// Subtracts a full panel's products from the columns `first..n`, four columns at a time, so that
-/// each value of the panel is loaded once for four of them.
-#[inline(always)]
-fn subtract_panel<S: Simd>(simd: S, panel: &[f64], rest: &mut [f64], n: usize, first: usize) {
-    let mut columns: [&[f64]; PANEL] = [&[]; PANEL];
-    for (slot, column) in columns.iter_mut().zip(panel.chunks_exact(n)) {
-        *slot = column;
+/// Finished frontal columns.
+struct Source<'a> {
+    columns: &'a [f64],
+    rows: usize,
+    count: usize,
+}
+
+impl Source<'_> {
+    /// Subtracts the products with all finished columns from `columns`: each has `height` entries,
+    /// of which the last ones, from row `first_row` of the front on (a multiple of the vector
+    /// length), take part; the first of them is column `column` of the front.
+    #[inline(always)]
+    fn subtract_from<S: Simd>(
+        &self,
+        simd: S,
+        columns: &mut [f64],
+        height: usize,
+        first_row: usize,
+        mut column: usize,
+    ) {
+        let mut quads = columns.chunks_exact_mut(4 * height);
+        for quad in &mut quads {
+            self.subtract::<S, 4>(simd, quad, height, first_row, column);
+            column += 4;
+        }
+        let last = quads.into_remainder();
+        match last.len() / height {
+            1 => self.subtract::<S, 1>(simd, last, height, first_row, column),
+            2 => self.subtract::<S, 2>(simd, last, height, first_row, column),
+            3 => self.subtract::<S, 3>(simd, last, height, first_row, column),
+            _ => {}
+        }
     }
-    let mut row = first;
-    let mut quads = rest.chunks_exact_mut(4 * n);
-    for quad in &mut quads {
-        let (c0, quad) = quad.split_at_mut(n);
-        let (c1, quad) = quad.split_at_mut(n);
-        let (c2, c3) = quad.split_at_mut(n);
-        let mut factors = [[simd.splat_f64s(0.0); 4]; PANEL];
-        for (f, column) in factors.iter_mut().zip(columns) {
-            *f = [0, 1, 2, 3].map(|k| simd.splat_f64s(-column[row + k]));
+
+    #[inline(always)]
+    fn subtract<S: Simd, const W: usize>(
+        &self,
+        simd: S,
+        columns: &mut [f64],
+        height: usize,
+        first_row: usize,
+        column: usize,
+    ) {
+        let mut row = first_row;
+        while row + 3 * S::F64_LANES <= self.rows {
+            self.tile::<S, W, 3>(simd, columns, height, row, column);
+            row += 3 * S::F64_LANES;
         }
-        let (h0, t0) = S::as_mut_simd_f64s(&mut c0[row..]);
-        let (h1, t1) = S::as_mut_simd_f64s(&mut c1[row..]);
-        let (h2, t2) = S::as_mut_simd_f64s(&mut c2[row..]);
-        let (h3, t3) = S::as_mut_simd_f64s(&mut c3[row..]);
-        let heads = columns.map(|column| S::as_simd_f64s(&column[row..]).0);
-        let length = h0.len();
-        let heads = heads.map(|head| &head[..length]);
-        let (h1, h2, h3) = (&mut h1[..length], &mut h2[..length], &mut h3[..length]);
-        for i in 0..length {
-            let (mut a, mut b, mut c, mut d) = (h0[i], h1[i], h2[i], h3[i]);
-            for p in 0..PANEL {
-                let x = heads[p][i];
-                a = simd.mul_add_e_f64s(factors[p][0], x, a);
-                b = simd.mul_add_e_f64s(factors[p][1], x, b);
-                c = simd.mul_add_e_f64s(factors[p][2], x, c);
-                d = simd.mul_add_e_f64s(factors[p][3], x, d);
-            }
-            (h0[i], h1[i], h2[i], h3[i]) = (a, b, c, d);
+        if row + 2 * S::F64_LANES <= self.rows {
+            self.tile::<S, W, 2>(simd, columns, height, row, column);
+            row += 2 * S::F64_LANES;
         }
-        let tail = row + length * S::F64_LANES;
-        for column in columns {
-            let x = &column[tail..n];
-            let f = [0, 1, 2, 3].map(|k| column[row + k]);
-            for (i, x) in x.iter().enumerate() {
-                t0[i] -= f[0] * x;
-                t1[i] -= f[1] * x;
-                t2[i] -= f[2] * x;
-                t3[i] -= f[3] * x;
-            }
+        while row + S::F64_LANES <= self.rows {
+            self.tile::<S, W, 1>(simd, columns, height, row, column);
+            row += S::F64_LANES;
         }
-        row += 4;
     }
-    for column in quads.into_remainder().chunks_exact_mut(n) {
-        for done in columns {
-            subtract_multiple(simd, &mut column[row..], &done[row..], done[row]);
+
+    /// `W` columns by `R` vectors of rows, which stay in registers.
+    #[inline(always)]
+    fn tile<S: Simd, const W: usize, const R: usize>(
+        &self,
+        simd: S,
+        columns: &mut [f64],
+        height: usize,
+        row: usize,
+        column: usize,
+    ) {
+        let length = R * S::F64_LANES;
+        let mut sums = [[simd.splat_f64s(0.0); R]; W];
+        for done in self.columns.chunks_exact(self.rows).take(self.count) {
+            let x = &S::as_simd_f64s(&done[row..row + length]).0[..R];
+            let factors = &done[column..column + W];
+            for w in 0..W {
+                let factor = simd.splat_f64s(factors[w]);
+                for r in 0..R {
+                    sums[w][r] = simd.mul_add_e_f64s(x[r], factor, sums[w][r]);
+                }
+            }
         }
-        row += 1;
+        let first_row = self.rows - height;
+        for (w, sums) in sums.iter().enumerate() {
+            let start = w * height + row - first_row;
+            let out = S::as_mut_simd_f64s(&mut columns[start..start + length]).0;
+            for (out, sum) in out.iter_mut().zip(sums) {
+                *out = simd.sub_f64s(*out, *sum);
+            }
+        }
     }
 }
 
-impl PartialCholesky<'_> {
-    fn by_faer(self) -> Result<f64, BadPivot> {
-        let Self { front, n, frontal, diagonal, bound } = self;
-        let matrix = MatMut::from_column_major_slice_mut(front, n, n);
-        let (mut a, _, mut b, c) = matrix.split_at_mut(frontal, frontal);
-        let params = Spec::<LltParams, f64>::default();
-        let scratch = cholesky_in_place_scratch::<f64>(frontal, Par::Seq, params);
-        let mut memory = faer::dyn_stack::MemBuffer::new(scratch);
-        let stack = faer::dyn_stack::MemStack::new(&mut memory);
-        if let Err(error) =
-            cholesky_in_place(a.as_mut(), LltRegularization::default(), Par::Seq, stack, params)
-        {
-            let faer::linalg::cholesky::llt::factor::LltError::NonPositivePivot { index } = error;
-            return Err(BadPivot { column: index.min(frontal - 1) });
-        }
-        let mut smallest = f64::INFINITY;
-        for (column, scale) in diagonal[..frontal].iter().enumerate() {
-            let pivot = a[(column, column)] * a[(column, column)];
-            if !bound.allows(pivot, *scale, smallest) {
-                return Err(BadPivot { column });
-            }
-            smallest = smallest.min(pivot / scale);
-        }
-        // P = B L⁻ᵀ, solved as L Pᵀ = Bᵀ.
-        solve_lower_triangular_in_place(a.as_ref(), b.as_mut().transpose_mut(), Par::Seq);
-        matmul(
-            c,
-            BlockStructure::TriangularLower,
-            Accum::Add,
-            b.as_ref(),
-            BlockStructure::Rectangular,
-            b.as_ref().transpose(),
-            BlockStructure::Rectangular,
-            -1.0,
-            Par::Seq,
-        );
-        Ok(smallest)
+/// Factors `W` columns, whose products with all columns before are subtracted; their diagonal
+/// begins at row `start`.
+#[inline(always)]
+fn factor_block<S: Simd, const W: usize>(
+    simd: S,
+    block: &mut [f64],
+    rows: usize,
+    start: usize,
+    diagonal: &[f64],
+    bound: PivotBound,
+) -> Result<f64, BadPivot> {
+    // The diagonal block in registers, as far as they go: l[j][i] is row i of column j.
+    let mut l = [[0.0; W]; W];
+    for (j, column) in l.iter_mut().enumerate() {
+        column.copy_from_slice(&block[j * rows + start..][..W]);
     }
+    let mut inverse = [0.0; W];
+    let mut smallest = f64::INFINITY;
+    for j in 0..W {
+        let pivot = l[j][j];
+        if !bound.allows(pivot, diagonal[j], smallest) {
+            return Err(BadPivot { column: start + j });
+        }
+        smallest = smallest.min(pivot / diagonal[j]);
+        let root = pivot.sqrt();
+        inverse[j] = 1.0 / root;
+        l[j][j] = root;
+        for i in j + 1..W {
+            l[j][i] *= inverse[j];
+        }
+        for k in j + 1..W {
+            for i in k..W {
+                l[k][i] -= l[j][k] * l[j][i];
+            }
+        }
+    }
+    // Whole vectors, from rows of the diagonal block on that are overwritten at the end.
+    let first = start + W / S::F64_LANES * S::F64_LANES;
+    let mut columns = block.chunks_exact_mut(rows);
+    let below: [&mut [S::f64s]; W] = std::array::from_fn(|_| {
+        let column = columns.next().expect("the block has W columns");
+        S::as_mut_simd_f64s(&mut column[first..]).0
+    });
+    let length = below[0].len();
+    for i in 0..length {
+        let mut x: [S::f64s; W] = std::array::from_fn(|j| below[j][i]);
+        for j in 0..W {
+            x[j] = simd.mul_f64s(x[j], simd.splat_f64s(inverse[j]));
+            for k in j + 1..W {
+                x[k] = simd.negate_mul_add_e_f64s(x[j], simd.splat_f64s(l[j][k]), x[k]);
+            }
+        }
+        for j in 0..W {
+            below[j][i] = x[j];
+        }
+    }
+    for (j, column) in l.iter().enumerate() {
+        block[j * rows + start..][..W].copy_from_slice(column);
+    }
+    Ok(smallest)
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::{Instructions, LARGE, partial_cholesky};
     use super::*;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
@@ -262,7 +295,7 @@ mod tests {
     const LENIENT: PivotBound = PivotBound { ratio: 1e-9, product: 0.0, weakest: 1.0 };
 
     /// A positive definite n × n matrix, column-major, and its diagonal.
-    fn front(n: usize, seed: u64) -> (Vec<f64>, Vec<f64>) {
+    fn matrix(n: usize, seed: u64) -> (Vec<f64>, Vec<f64>) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let a: Vec<f64> = (0..n * (n + 3)).map(|_| rng.random_range(-1.0..1.0)).collect();
         let mut f = vec![0.0; n * n];
@@ -275,38 +308,100 @@ mod tests {
         (f, diagonal)
     }
 
-    /// L and P times their transposes, plus S, must give F back.
-    fn check(original: &[f64], result: &[f64], n: usize, frontal: usize) {
-        for j in 0..n {
-            for i in j..n {
-                let products: f64 =
-                    (0..frontal.min(j + 1)).map(|k| result[k * n + i] * result[k * n + j]).sum();
-                let rest = if j >= frontal { result[j * n + i] } else { 0.0 };
-                let scale = (original[i * n + i] * original[j * n + j]).sqrt();
-                let off = (products + rest - original[j * n + i]).abs();
-                assert!(
-                    off <= 1e-13 * n as f64 * scale,
-                    "({i}, {j}) of {n}, {frontal}: off by {off}"
-                );
+    /// A front with what a kernel left in it.
+    struct Front {
+        layout: FrontLayout,
+        panel: Vec<f64>,
+        triangle: Vec<f64>,
+    }
+
+    impl Front {
+        /// Rubbish above the diagonal, which no kernel may read into a result.
+        fn new(matrix: &[f64], n: usize, frontal: usize) -> Self {
+            let layout = FrontLayout::new(frontal, n - frontal);
+            let mut panel = vec![0.0; layout.panel_len()];
+            let mut triangle = vec![0.0; layout.triangle_len()];
+            for j in 0..n {
+                let column = &matrix[j * n..(j + 1) * n];
+                if j < frontal {
+                    let out = &mut panel[j * layout.rows()..][..layout.rows()];
+                    out[..j].fill(1e3);
+                    out[j..n].copy_from_slice(&column[j..]);
+                } else {
+                    let at = layout.diagonal_at(j);
+                    triangle[at..at + n - j].copy_from_slice(&column[j..]);
+                }
+            }
+            Self { layout, panel, triangle }
+        }
+
+        fn at(&self, i: usize, j: usize) -> f64 {
+            if j < self.layout.frontal() {
+                self.panel[j * self.layout.rows() + i]
+            } else {
+                self.triangle[self.layout.diagonal_at(j) + i - j]
+            }
+        }
+
+        fn factor(
+            &mut self,
+            instructions: Instructions,
+            diagonal: &[f64],
+            bound: PivotBound,
+        ) -> Result<f64, BadPivot> {
+            struct Op<'a>(PartialCholesky<'a>);
+            impl WithSimd for Op<'_> {
+                type Output = Result<f64, BadPivot>;
+                fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+                    partial_cholesky(simd, self.0, &mut Vec::new())
+                }
+            }
+            let Self { layout, panel, triangle } = self;
+            instructions.dispatch(
+                *layout,
+                Op(PartialCholesky { layout: *layout, panel, triangle, diagonal, bound }),
+            )
+        }
+
+        /// L and P times their transposes, plus S, must give the matrix back.
+        fn check(&self, original: &[f64], n: usize) {
+            let frontal = self.layout.frontal();
+            for j in 0..n {
+                for i in j..n {
+                    let products: f64 =
+                        (0..frontal.min(j + 1)).map(|k| self.at(i, k) * self.at(j, k)).sum();
+                    let rest = if j >= frontal { self.at(i, j) } else { 0.0 };
+                    let scale = (original[i * n + i] * original[j * n + j]).sqrt();
+                    let off = (products + rest - original[j * n + i]).abs();
+                    assert!(
+                        off <= 1e-13 * n as f64 * scale,
+                        "({i}, {j}) of {n}, {frontal}: off by {off}"
+                    );
+                }
             }
         }
     }
 
     #[test]
     fn every_size_and_instruction_set_reproduces_the_front() {
-        let mut archs = vec![Arch::Scalar];
-        #[cfg(target_arch = "x86_64")]
-        {
-            archs.extend(pulp::x86::V3::try_new().map(Arch::V3));
-            archs.extend(pulp::x86::V4::try_new().map(Arch::V4));
-        }
-        for arch in archs {
-            for n in (1..40_usize).chain([63, 100, 131]) {
-                for frontal in [1, n / 3, n / 2, n.saturating_sub(1), n] {
-                    let (original, diagonal) = front(n, n as u64);
-                    let mut result = original.clone();
-                    partial_cholesky(arch, &mut result, n, frontal, &diagonal, LENIENT).unwrap();
-                    check(&original, &result, n, frontal);
+        for (name, instructions) in Instructions::available() {
+            for n in (1..40_usize).chain([63, 64, 65, 100, 131]) {
+                let (original, diagonal) = matrix(n, n as u64);
+                for frontal in [1, 2, 3, 6, n / 3, n / 2, n.saturating_sub(1), n] {
+                    if frontal == 0 || frontal > n {
+                        continue;
+                    }
+                    let mut front = Front::new(&original, n, frontal);
+                    front.factor(instructions, &diagonal, LENIENT).expect(name);
+                    front.check(&original, n);
+                    // The products alone give the same triangle.
+                    let mut again = Front::new(&original, n, frontal);
+                    let Front { layout, triangle, .. } = &mut again;
+                    let op = SubtractOuter { layout: *layout, panel: &front.panel, triangle };
+                    instructions.dispatch(front.layout, op);
+                    for j in frontal..n {
+                        assert!((j..n).all(|i| again.at(i, j) == front.at(i, j)));
+                    }
                 }
             }
         }
@@ -314,17 +409,17 @@ mod tests {
 
     #[test]
     fn large_fronts_agree_with_small_ones() {
-        let (n, frontal) = (super::super::LARGE + 21, 150);
-        let (original, diagonal) = front(n, 7);
-        let mut result = original.clone();
-        partial_cholesky(select_arch(), &mut result, n, frontal, &diagonal, LENIENT).unwrap();
-        check(&original, &result, n, frontal);
+        let (n, frontal) = (LARGE + 21, 150);
+        let (original, diagonal) = matrix(n, 7);
+        let mut front = Front::new(&original, n, frontal);
+        front.factor(Instructions::select().unwrap(), &diagonal, LENIENT).unwrap();
+        front.check(&original, n);
     }
 
     #[test]
     fn bad_pivots_are_named() {
-        for n in [6, super::super::LARGE + 40] {
-            let (mut f, mut diagonal) = front(n, 3);
+        for n in [6, LARGE + 40] {
+            let (mut f, mut diagonal) = matrix(n, 3);
             // Column 4 becomes a copy of column 1: no information of its own.
             for i in 0..n {
                 f[4 * n + i] = f[n + i];
@@ -333,15 +428,13 @@ mod tests {
                 f[i * n + 4] = f[i * n + 1];
             }
             diagonal[4] = diagonal[1];
-            let mut copy = f.clone();
+            let instructions = Instructions::select().unwrap();
+            let frontal = n.min(60);
             let error =
-                partial_cholesky(select_arch(), &mut copy, n, n.min(60), &diagonal, LENIENT)
-                    .unwrap_err();
+                Front::new(&f, n, frontal).factor(instructions, &diagonal, LENIENT).unwrap_err();
             assert_eq!(error.column, 4);
             f[0] = f64::NAN;
-            assert!(
-                partial_cholesky(select_arch(), &mut f, n, n.min(60), &diagonal, LENIENT).is_err()
-            );
+            assert!(Front::new(&f, n, frontal).factor(instructions, &diagonal, LENIENT).is_err());
         }
     }
 
@@ -350,8 +443,8 @@ mod tests {
         let f = |a, b| [a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, 1.0];
         let bound = PivotBound { ratio: 1e-9, product: 1e-13, weakest: 1.0 };
         let diagonal = [1.0, 1.0, 1.0];
-        let run =
-            |a, b, bound| partial_cholesky(select_arch(), &mut f(a, b), 3, 3, &diagonal, bound);
+        let instructions = Instructions::select().unwrap();
+        let run = |a, b, bound| Front::new(&f(a, b), 3, 3).factor(instructions, &diagonal, bound);
         assert_eq!(run(1e-8, 1.0, bound), Ok(1e-8));
         assert_eq!(run(1e-8, 1e-8, bound), Err(BadPivot { column: 1 }));
         let below = PivotBound { weakest: 1e-8, ..bound };

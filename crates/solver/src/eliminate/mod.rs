@@ -5,9 +5,11 @@
 //! their contributions: other cliques of the job, or kept ones of the tree. Nothing is altered;
 //! the results are installed by whoever asked, or dropped if anything fails.
 
+mod assembly;
 mod front;
 mod parallel;
 mod rows;
+mod workspace;
 
 use std::collections::BTreeMap;
 
@@ -15,11 +17,13 @@ use evergraph_model::Graph;
 use smallvec::SmallVec;
 use tracing::debug;
 
+use crate::dense::Instructions;
 use crate::linearization::Blocks;
+use crate::pool::Pool;
 use crate::settings::Elimination;
 use crate::tree::{Numeric, Structure, Tree};
 
-pub(crate) use front::Workspace;
+pub(crate) use workspace::Workspace;
 
 /// Below this ratio of a pivot to its diagonal entry of JᵀJ, Cholesky has lost too many digits and
 /// the subtree is eliminated again by QR from factor rows.
@@ -36,7 +40,7 @@ pub(crate) const QR_PRODUCT: f64 = 1e-29;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Child {
     /// A node of the same job.
-    Node(usize),
+    Node(u32),
     /// A clique of the tree that is kept.
     Kept(u32),
 }
@@ -48,6 +52,15 @@ pub(crate) enum NodeStructure {
     New(Structure),
     /// A clique of the tree, to be eliminated again with new numbers.
     Existing(u32),
+    /// The first frontals of a clique of the tree whose others are eliminated elsewhere: its part
+    /// of R stays, the contribution is made again.
+    Prefix {
+        /// The clique.
+        clique: u32,
+        /// Its place among the cliques that are split.
+        split: u32,
+        structure: Structure,
+    },
 }
 
 /// A clique to eliminate.
@@ -55,7 +68,7 @@ pub(crate) enum NodeStructure {
 pub(crate) struct Node {
     pub(crate) structure: NodeStructure,
     pub(crate) children: SmallVec<[Child; 4]>,
-    pub(crate) parent: Option<usize>,
+    pub(crate) parent: Option<u32>,
 }
 
 /// Cliques to eliminate, in postorder with contiguous subtrees.
@@ -71,7 +84,7 @@ pub(crate) struct System<'a> {
     pub(crate) blocks: &'a Blocks,
     pub(crate) tree: &'a Tree,
     pub(crate) elimination: Elimination,
-    pub(crate) arch: pulp::Arch,
+    pub(crate) instructions: Instructions,
     /// Added to each scalar's diagonal of the information matrix, by tangent position.
     pub(crate) damping: Option<&'a [f64]>,
 }
@@ -79,7 +92,7 @@ pub(crate) struct System<'a> {
 impl<'a> System<'a> {
     pub(crate) fn structure(&self, node: &'a Node) -> &'a Structure {
         match &node.structure {
-            NodeStructure::New(structure) => structure,
+            NodeStructure::New(structure) | NodeStructure::Prefix { structure, .. } => structure,
             NodeStructure::Existing(clique) => &self.tree.clique(*clique).structure,
         }
     }
@@ -93,8 +106,16 @@ pub(crate) struct Eliminated {
 }
 
 impl Eliminated {
-    fn empty(job: &Job) -> Self {
-        Self { nodes: job.nodes.iter().map(|_| None).collect(), kept: BTreeMap::new() }
+    pub(crate) fn smallest_pivot_ratio(&self) -> f64 {
+        self.nodes.iter().flatten().map(|n| n.pivot_ratio).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Room for a job's results; what is here goes back to the pool.
+    fn start(&mut self, job: &Job, pool: &mut Pool) {
+        let old =
+            self.nodes.drain(..).flatten().chain(std::mem::take(&mut self.kept).into_values());
+        old.for_each(|numeric| pool.give(numeric.data));
+        self.nodes.resize_with(job.nodes.len(), || None);
     }
 }
 
@@ -112,19 +133,18 @@ pub(crate) enum Failure {
 pub(crate) fn eliminate(
     system: &System<'_>,
     job: &Job,
+    results: &mut Eliminated,
     workspace: &mut Workspace,
     threads: Option<&rayon::ThreadPool>,
-) -> Result<Eliminated, Failure> {
-    let mut results = Eliminated::empty(job);
+) -> Result<(), Failure> {
+    results.start(job, &mut workspace.pool);
     // What fails first is only certain in sequence, so a failure is found again below.
-    if threads
-        .is_some_and(|pool| parallel::eliminate_subtrees(system, job, pool, &mut results).is_err())
+    if threads.is_some_and(|pool| parallel::eliminate_subtrees(system, job, pool, results).is_err())
     {
-        results = Eliminated::empty(job);
+        results.start(job, &mut workspace.pool);
     }
-    let Eliminated { nodes, kept } = &mut results;
-    Range { system, job, offset: 0, nodes, kept }.eliminate(workspace)?;
-    Ok(results)
+    let Eliminated { nodes, kept } = results;
+    Range { system, job, offset: 0, nodes, kept }.eliminate(workspace)
 }
 
 /// A contiguous range of a job's nodes that holds the children of all of its nodes.
@@ -144,12 +164,13 @@ impl<'a> Range<'a> {
             if self.nodes[i].is_none() {
                 let numeric = self.eliminate_node(self.offset + i, workspace)?;
                 // Anything else that is not finite reaches a pivot on the way up.
-                let structure = self.structure(Child::Node(self.offset + i));
-                let rhs = numeric
-                    .panel
-                    .chunks_exact(structure.front_dim())
-                    .map(|column| column[column.len() - 1]);
-                if rhs.into_iter().any(|x| !x.is_finite()) {
+                let structure = self.structure(Child::Node((self.offset + i) as u32));
+                let last = numeric.layout.columns() - 1;
+                let mut rows = match numeric.is_without_panel() {
+                    true => [].chunks_exact(1),
+                    false => numeric.panel().chunks_exact(numeric.layout.rows()),
+                };
+                if rows.any(|row| !row[last].is_finite()) {
                     return Err(Failure::Overflow { variable: structure.frontals[0] });
                 }
                 self.nodes[i] = Some(numeric);
@@ -164,8 +185,12 @@ impl<'a> Range<'a> {
         workspace: &mut Workspace,
     ) -> Result<Numeric, Failure> {
         if self.system.elimination == Elimination::Cholesky {
-            let children = self.inputs(Child::Node(node));
-            let structure = self.structure(Child::Node(node));
+            let children = self.inputs(Child::Node(node as u32));
+            let structure = self.structure(Child::Node(node as u32));
+            if let NodeStructure::Prefix { clique, .. } = self.job.nodes[node].structure {
+                let whole = &self.system.tree.clique(clique).numeric;
+                return Ok(front::prefix(self.system, structure, &children, whole, workspace));
+            }
             if let Ok(numeric) = front::eliminate(self.system, structure, &children, workspace) {
                 return Ok(numeric);
             }
@@ -183,11 +208,11 @@ impl<'a> Range<'a> {
         workspace: &mut Workspace,
     ) -> Result<Numeric, Failure> {
         // What has to be eliminated again, parents before children; done in reverse.
-        let mut pending = vec![Child::Node(node)];
+        let mut pending = vec![Child::Node(node as u32)];
         let mut next = 0;
         while next < pending.len() {
             let children = self.children(pending[next]).into_iter();
-            pending.extend(children.filter(|&child| !self.numeric(child).contribution.is_root()));
+            pending.extend(children.filter(|&child| !self.numeric(child).form.is_root()));
             next += 1;
         }
         loop {
@@ -197,8 +222,8 @@ impl<'a> Range<'a> {
                 rows::eliminate(self.system, self.structure(current), &children, workspace)?
             };
             match current {
-                Child::Node(n) if n == node => return Ok(numeric),
-                Child::Node(n) => self.nodes[n - self.offset] = Some(numeric),
+                Child::Node(n) if n as usize == node => return Ok(numeric),
+                Child::Node(n) => self.nodes[n as usize - self.offset] = Some(numeric),
                 Child::Kept(clique) => {
                     self.kept.insert(clique, numeric);
                 }
@@ -208,7 +233,7 @@ impl<'a> Range<'a> {
 
     fn children(&self, of: Child) -> SmallVec<[Child; 4]> {
         match of {
-            Child::Node(n) => self.job.nodes[n].children.clone(),
+            Child::Node(n) => self.job.nodes[n as usize].children.clone(),
             Child::Kept(clique) => {
                 self.system.tree.clique(clique).children.iter().map(|&c| Child::Kept(c)).collect()
             }
@@ -217,16 +242,16 @@ impl<'a> Range<'a> {
 
     fn structure(&self, of: Child) -> &'a Structure {
         match of {
-            Child::Node(n) => self.system.structure(&self.job.nodes[n]),
+            Child::Node(n) => self.system.structure(&self.job.nodes[n as usize]),
             Child::Kept(clique) => &self.system.tree.clique(clique).structure,
         }
     }
 
     fn numeric(&self, of: Child) -> &Numeric {
         match of {
-            Child::Node(n) => {
-                self.nodes[n - self.offset].as_ref().expect("postorder: children come first")
-            }
+            Child::Node(n) => self.nodes[n as usize - self.offset]
+                .as_ref()
+                .expect("postorder: children come first"),
             Child::Kept(clique) => {
                 self.kept.get(&clique).unwrap_or(&self.system.tree.clique(clique).numeric)
             }

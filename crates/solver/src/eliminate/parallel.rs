@@ -55,13 +55,13 @@ fn cut(system: &System<'_>, job: &Job) -> Vec<(usize, usize)> {
     let mut work: Vec<f64> = Vec::with_capacity(job.nodes.len());
     for node in &job.nodes {
         let structure = system.structure(node);
-        let (f, n) = (structure.frontal_dim as f64, structure.front_dim() as f64);
+        let (f, n) = (f64::from(structure.frontal_dim), structure.layout().columns() as f64);
         work.push(f * n * n / 2.0);
     }
     for (i, node) in job.nodes.iter().enumerate() {
         if let Some(parent) = node.parent {
-            first[parent] = first[parent].min(first[i]);
-            work[parent] += work[i];
+            first[parent as usize] = first[parent as usize].min(first[i]);
+            work[parent as usize] += work[i];
         }
     }
     let total: f64 =
@@ -71,7 +71,7 @@ fn cut(system: &System<'_>, job: &Job) -> Vec<(usize, usize)> {
     }
     let small = |i: usize| work[i] <= total * SHARE;
     (0..job.nodes.len())
-        .filter(|&i| small(i) && job.nodes[i].parent.is_none_or(|p| !small(p)))
+        .filter(|&i| small(i) && job.nodes[i].parent.is_none_or(|p| !small(p as usize)))
         .map(|i| (first[i], i + 1))
         .collect()
 }

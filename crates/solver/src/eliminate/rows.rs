@@ -3,8 +3,8 @@
 
 use super::{Failure, QR_PIVOT, QR_PRODUCT, System};
 use crate::dense::triangularize;
-use crate::eliminate::front::Workspace;
-use crate::tree::{Contribution, Numeric, Structure};
+use crate::eliminate::workspace::{Run, Workspace};
+use crate::tree::{Form, Numeric, Structure};
 
 /// Eliminates a clique whose children all have square-root contributions.
 pub(super) fn eliminate(
@@ -13,59 +13,64 @@ pub(super) fn eliminate(
     children: &[(&Structure, &Numeric)],
     workspace: &mut Workspace,
 ) -> Result<Numeric, Failure> {
-    let n = structure.front_dim();
-    let frontal = structure.frontal_dim;
+    let layout = structure.layout();
+    let (n, frontal) = (layout.columns(), layout.frontal());
     let factor_rows: usize =
         structure.factors.iter().map(|&f| system.graph.rows_at(f as usize)).sum();
     let child_rows: usize = children.iter().map(|(_, numeric)| root(numeric).0).sum();
     let damping_rows = if system.damping.is_some() { frontal } else { 0 };
     let m = factor_rows + child_rows + damping_rows;
-    workspace.start(system, structure, m);
-    workspace.front[..m * n].fill(0.0);
+    workspace.place(system, structure);
+    workspace.square.clear();
+    workspace.square.resize(m * n, 0.0);
 
     let mut row = 0;
     for &factor in &structure.factors {
         row += place_factor(system, factor as usize, n, m, row, workspace);
-        workspace.add_factor_diagonal(system, factor as usize);
     }
     for (child, numeric) in children {
-        workspace.map_child(system, child, n);
+        workspace.map_child(child, n);
         let (rows, data) = root(numeric);
-        for &(from, to, len) in &workspace.runs {
+        let diagonal = numeric.diagonal();
+        for &Run { from, to, len } in &workspace.runs {
             for j in 0..len {
                 let target = (to + j) * m + row;
                 let source = (from + j) * rows;
-                workspace.front[target..target + rows]
+                workspace.square[target..target + rows]
                     .copy_from_slice(&data[source..source + rows]);
+                // The right-hand side has none.
+                if let Some(x) = diagonal.get(from + j) {
+                    workspace.diagonal[to + j] += x;
+                }
             }
         }
-        workspace.add_diagonal(&numeric.diagonal);
         row += rows;
     }
     if let Some(damping) = system.damping {
         let scalars =
             structure.frontals.iter().flat_map(|&v| system.graph.tangent_range(v as usize));
         for (j, scalar) in scalars.enumerate() {
-            workspace.front[j * m + row + j] = damping[scalar].sqrt();
+            workspace.square[j * m + row + j] = damping[scalar].sqrt();
             workspace.diagonal[j] += damping[scalar];
         }
     }
-    triangularize(&mut workspace.front[..m * n], m, n);
+    triangularize(&mut workspace.square[..m * n], m, n);
     let weakest = children.iter().map(|(_, numeric)| numeric.weakest).fold(1.0, f64::min);
     collect(system, structure, m, weakest, workspace)
 }
 
 /// A child's square-root contribution: rows and data.
 fn root(numeric: &Numeric) -> (usize, &[f64]) {
-    match &numeric.contribution {
-        Contribution::Root { rows, data } => (*rows, data),
-        Contribution::Information(_) => {
+    match numeric.form {
+        Form::Root { rows } => (rows as usize, numeric.contribution()),
+        Form::Information => {
             unreachable!("children of a QR elimination are eliminated by QR first")
         }
     }
 }
 
-/// Copies `[J₁ … Jₖ | r]` to the rows from `row` on; returns how many they are.
+/// Copies `[J₁ … Jₖ | r]` to the rows from `row` on, and adds the squares of its columns to the
+/// diagonal; returns how many rows there are.
 fn place_factor(
     system: &System<'_>,
     factor: usize,
@@ -78,11 +83,14 @@ fn place_factor(
     let rows = graph.rows_at(factor);
     let mut source = system.blocks.get(factor).chunks_exact(rows);
     let starts = graph.variables_at(factor).iter().flat_map(|&v| {
-        let start = workspace.position[v as usize] as usize;
-        start..start + graph.dim_at(v as usize)
+        let place = workspace.place[v as usize];
+        (place.start..place.start + place.dim).map(|column| column as usize)
     });
     for (column, data) in starts.chain(std::iter::once(n - 1)).zip(&mut source) {
-        workspace.front[column * m + row..][..rows].copy_from_slice(data);
+        workspace.square[column * m + row..][..rows].copy_from_slice(data);
+        if let Some(diagonal) = workspace.diagonal.get_mut(column) {
+            *diagonal += data.iter().map(|x| x * x).sum::<f64>();
+        }
     }
     rows
 }
@@ -94,11 +102,15 @@ fn collect(
     structure: &Structure,
     m: usize,
     mut weakest: f64,
-    workspace: &Workspace,
+    workspace: &mut Workspace,
 ) -> Result<Numeric, Failure> {
-    let (n, frontal) = (structure.front_dim(), structure.frontal_dim);
-    let front = &workspace.front;
-    let mut panel = vec![0.0; frontal * n];
+    let layout = structure.layout();
+    let (n, frontal) = (layout.columns(), layout.frontal());
+    let order = n - frontal;
+    let rows = order.min(m.saturating_sub(frontal));
+    let form = Form::Root { rows: rows as u32 };
+    let mut data = workspace.pool.take(Numeric::len(layout, form));
+    let front = &workspace.square;
     let mut pivot_ratio = f64::INFINITY;
     for j in 0..frontal {
         let pivot = if j < m { front[j * m + j] } else { 0.0 };
@@ -117,23 +129,17 @@ fn collect(
         weakest = weakest.min(ratio);
         let sign = pivot.signum();
         for i in j..n {
-            panel[j * n + i] = sign * front[i * m + j];
+            data[j * layout.rows() + i] = sign * front[i * m + j];
         }
     }
-    let columns = n - frontal;
-    let rows = columns.min(m - frontal);
-    let mut data = vec![0.0; rows * columns];
-    for (j, column) in data.chunks_exact_mut(rows.max(1)).enumerate() {
+    let contribution = &mut data[layout.panel_len()..];
+    for (j, column) in contribution.chunks_exact_mut(rows.max(1)).take(order).enumerate() {
         let source = (frontal + j) * m + frontal;
-        column.copy_from_slice(&front[source..source + rows]);
+        column[..rows].copy_from_slice(&front[source..source + rows]);
     }
-    Ok(Numeric {
-        panel,
-        contribution: Contribution::Root { rows, data },
-        diagonal: workspace.diagonal[frontal..].to_vec(),
-        pivot_ratio,
-        weakest,
-    })
+    let diagonal = data.len() - (order - 1);
+    data[diagonal..].copy_from_slice(&workspace.diagonal[frontal..]);
+    Ok(Numeric { layout, form, data, pivot_ratio, weakest })
 }
 
 /// The frontal variable that scalar column `j` belongs to.

@@ -8,52 +8,69 @@ use super::{Elimination, Groups};
 
 const NONE: u32 = u32::MAX;
 
-/// Orders `n` variables by minimum degree, `last` (if given) after all others. Ties go to the
-/// variable whose degree changed most recently, at the start to the one numbered first.
-pub(super) fn order(n: usize, groups: &Groups, last: Option<u32>) -> Elimination {
-    let words = n.div_ceil(64);
-    let mut rows = vec![0_u64; n * words];
-    for group in groups.iter() {
-        for &a in group {
-            let row = &mut rows[a as usize * words..][..words];
-            for &b in group {
-                row[b as usize / 64] |= 1 << (b % 64);
-            }
-            row[a as usize / 64] &= !(1 << (a % 64));
-        }
-    }
-    let mut buckets = Buckets::new(n);
-    for v in (0..n as u32).rev().filter(|&v| Some(v) != last) {
-        buckets.insert(v, count(&rows[v as usize * words..][..words]));
-    }
-    let mut elimination = Elimination::with_capacity(n);
-    let mut pivot_row = vec![0_u64; words];
-    while let Some(v) = buckets.pop_smallest() {
-        pivot_row.copy_from_slice(&rows[v as usize * words..][..words]);
-        let first = elimination.members.len();
-        elimination.push(v, bits(&pivot_row));
-        for i in first..elimination.members.len() {
-            let u = elimination.members[i];
-            let row = &mut rows[u as usize * words..][..words];
-            let mut degree = 0;
-            for (w, p) in row.iter_mut().zip(&pivot_row) {
-                *w |= p;
-                degree += w.count_ones();
-            }
-            for gone in [u, v] {
-                let word = &mut row[gone as usize / 64];
-                degree -= (*word >> (gone % 64) & 1) as u32;
-                *word &= !(1 << (gone % 64));
-            }
-            if Some(u) != last {
-                buckets.move_to(u, degree);
+/// Buffers of the ordering.
+#[derive(Debug, Default)]
+pub(super) struct MinimumDegree {
+    rows: Vec<u64>,
+    pivot_row: Vec<u64>,
+    buckets: Buckets,
+}
+
+impl MinimumDegree {
+    /// Orders `n` variables by minimum degree, `last` (if given) after all others. Ties go to the
+    /// variable whose degree changed most recently, at the start to the one numbered first.
+    pub(super) fn order(
+        &mut self,
+        n: usize,
+        groups: &Groups,
+        last: Option<u32>,
+        elimination: &mut Elimination,
+    ) {
+        let words = n.div_ceil(64);
+        let Self { rows, pivot_row, buckets } = self;
+        rows.clear();
+        rows.resize(n * words, 0);
+        for group in groups.iter() {
+            for &a in group {
+                let row = &mut rows[a as usize * words..][..words];
+                for &b in group {
+                    row[b as usize / 64] |= 1 << (b % 64);
+                }
+                row[a as usize / 64] &= !(1 << (a % 64));
             }
         }
+        buckets.start(n);
+        for v in (0..n as u32).rev().filter(|&v| Some(v) != last) {
+            buckets.insert(v, count(&rows[v as usize * words..][..words]));
+        }
+        elimination.start(n);
+        while let Some(v) = buckets.pop_smallest() {
+            pivot_row.clear();
+            pivot_row.extend_from_slice(&rows[v as usize * words..][..words]);
+            let first = elimination.members.len();
+            elimination.push(v, bits(pivot_row));
+            for i in first..elimination.members.len() {
+                let u = elimination.members[i];
+                let row = &mut rows[u as usize * words..][..words];
+                let mut degree = 0;
+                for (w, p) in row.iter_mut().zip(&*pivot_row) {
+                    *w |= p;
+                    degree += w.count_ones();
+                }
+                for gone in [u, v] {
+                    let word = &mut row[gone as usize / 64];
+                    degree -= (*word >> (gone % 64) & 1) as u32;
+                    *word &= !(1 << (gone % 64));
+                }
+                if Some(u) != last {
+                    buckets.move_to(u, degree);
+                }
+            }
+        }
+        if let Some(last) = last {
+            elimination.push(last, []);
+        }
     }
-    if let Some(last) = last {
-        elimination.push(last, []);
-    }
-    elimination
 }
 
 fn count(row: &[u64]) -> u32 {
@@ -69,6 +86,7 @@ fn bits(row: &[u64]) -> impl Iterator<Item = u32> {
 }
 
 /// Variables in doubly linked lists by degree; insertion and removal at the head.
+#[derive(Debug, Default)]
 struct Buckets {
     head: Vec<u32>,
     next: Vec<u32>,
@@ -78,14 +96,14 @@ struct Buckets {
 }
 
 impl Buckets {
-    fn new(n: usize) -> Self {
-        Self {
-            head: vec![NONE; n + 1],
-            next: vec![NONE; n],
-            previous: vec![NONE; n],
-            degree: vec![0; n],
-            smallest: 0,
+    /// Empties the lists, for `n` variables.
+    fn start(&mut self, n: usize) {
+        self.head.clear();
+        self.head.resize(n + 1, NONE);
+        for list in [&mut self.next, &mut self.previous, &mut self.degree] {
+            list.resize(n, NONE);
         }
+        self.smallest = 0;
     }
 
     fn insert(&mut self, v: u32, degree: u32) {

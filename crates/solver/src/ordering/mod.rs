@@ -6,6 +6,8 @@
 mod amd;
 mod minimum_degree;
 
+use minimum_degree::MinimumDegree;
+
 /// Sets of mutually adjacent variables, numbered locally from 0: the variables of a factor, or the
 /// separator of a subtree that is kept.
 #[derive(Debug, Default)]
@@ -15,6 +17,11 @@ pub(crate) struct Groups {
 }
 
 impl Groups {
+    pub(crate) fn clear(&mut self) {
+        self.members.clear();
+        self.ends.clear();
+    }
+
     pub(crate) fn push(&mut self, group: impl IntoIterator<Item = u32>) {
         self.members.extend(group);
         self.ends.push(self.members.len() as u32);
@@ -30,7 +37,7 @@ impl Groups {
 
 /// An elimination order with its symbolic structure: what is left adjacent to each variable at
 /// the moment it is eliminated.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Elimination {
     /// Local variables, first eliminated first.
     pub(crate) order: Vec<u32>,
@@ -41,13 +48,13 @@ pub(crate) struct Elimination {
 }
 
 impl Elimination {
-    fn with_capacity(n: usize) -> Self {
-        Self {
-            order: Vec::with_capacity(n),
-            position: vec![u32::MAX; n],
-            ends: Vec::with_capacity(n),
-            members: Vec::with_capacity(4 * n),
-        }
+    /// Empties it, for `n` variables.
+    fn start(&mut self, n: usize) {
+        self.order.clear();
+        self.position.clear();
+        self.position.resize(n, u32::MAX);
+        self.ends.clear();
+        self.members.clear();
     }
 
     /// Appends the next variable; `separator` is in no particular order.
@@ -68,61 +75,89 @@ impl Elimination {
 /// Largest problem for adjacency rows of bits, whose memory and time grow with the square.
 const BIT_ROWS: usize = 2048;
 
-/// Orders `n` variables to keep the factor sparse; `last`, if given, comes last, so that the next
-/// change, which is most often next to the newest variable, touches little.
-pub(crate) fn order(n: usize, groups: &Groups, last: Option<u32>) -> Elimination {
-    if n <= BIT_ROWS {
-        minimum_degree::order(n, groups, last)
-    } else {
-        let order = amd::order(n, groups, last);
-        symbolic(n, groups, &order)
+/// Finds orders; keeps the last one, and its buffers.
+#[derive(Debug, Default)]
+pub(crate) struct Orderer {
+    minimum_degree: MinimumDegree,
+    pub(crate) elimination: Elimination,
+}
+
+impl Orderer {
+    /// Orders `n` variables to keep the factor sparse; `last`, if given, comes last, so that the
+    /// next change, which is most often next to the newest variable, touches little.
+    pub(crate) fn order(&mut self, n: usize, groups: &Groups, last: Option<u32>) {
+        if n <= BIT_ROWS {
+            self.minimum_degree.order(n, groups, last, &mut self.elimination);
+        } else {
+            let order = amd::order(n, groups, last);
+            symbolic(n, groups, &order, &mut self.elimination);
+        }
     }
 }
 
 /// The structure that a given order leads to, by lists: the separator of a variable is what its
 /// groups and its children's separators hold beyond itself. O(entries of the factor).
-fn symbolic(n: usize, groups: &Groups, order: &[u32]) -> Elimination {
+fn symbolic(n: usize, groups: &Groups, order: &[u32], elimination: &mut Elimination) {
     let mut position = vec![0_u32; n];
     for (k, &v) in order.iter().enumerate() {
         position[v as usize] = k as u32;
     }
     // Each group is read once, at its first-eliminated member; children hang at their parent.
-    let mut groups_at = vec![Vec::new(); n];
     let lists: Vec<&[u32]> = groups.iter().collect();
+    let mut groups_at = Chains::new(n);
     for (g, list) in lists.iter().enumerate() {
         if let Some(first) = list.iter().min_by_key(|&&v| position[v as usize]) {
-            groups_at[*first as usize].push(g);
+            groups_at.push(*first, g as u32);
         }
     }
-    let mut children: Vec<Vec<usize>> = vec![Vec::new(); n];
+    let mut children = Chains::new(n);
     let mut seen = vec![u32::MAX; n];
-    let mut elimination = Elimination::with_capacity(n);
     let mut separator = Vec::new();
+    elimination.start(n);
     for (k, &v) in order.iter().enumerate() {
         separator.clear();
         seen[v as usize] = k as u32;
-        {
-            let mut visit = |list: &[u32]| {
-                for &u in list {
-                    if seen[u as usize] != k as u32 {
-                        seen[u as usize] = k as u32;
-                        separator.push(u);
-                    }
+        let mut visit = |list: &[u32]| {
+            for &u in list {
+                if seen[u as usize] != k as u32 {
+                    seen[u as usize] = k as u32;
+                    separator.push(u);
                 }
-            };
-            for &g in &groups_at[v as usize] {
-                visit(lists[g]);
             }
-            for &child in &children[v as usize] {
-                visit(elimination.separator(child));
-            }
-        }
+        };
+        groups_at.iter(v).for_each(|g| visit(lists[g as usize]));
+        children.iter(v).for_each(|child| visit(elimination.separator(child as usize)));
         if let Some(parent) = separator.iter().min_by_key(|&&u| position[u as usize]) {
-            children[*parent as usize].push(k);
+            children.push(*parent, k as u32);
         }
         elimination.push(v, separator.iter().copied());
     }
-    elimination
+}
+
+/// Lists of numbers, each linked through one array; every number is in at most one list.
+struct Chains {
+    heads: Vec<u32>,
+    next: Vec<u32>,
+}
+
+impl Chains {
+    fn new(n: usize) -> Self {
+        Self { heads: vec![u32::MAX; n], next: Vec::new() }
+    }
+
+    fn push(&mut self, list: u32, item: u32) {
+        if self.next.len() <= item as usize {
+            self.next.resize(item as usize + 1, u32::MAX);
+        }
+        self.next[item as usize] = std::mem::replace(&mut self.heads[list as usize], item);
+    }
+
+    fn iter(&self, list: u32) -> impl Iterator<Item = u32> {
+        let some = |item: u32| (item != u32::MAX).then_some(item);
+        std::iter::successors(some(self.heads[list as usize]), move |&item| {
+            some(self.next[item as usize])
+        })
+    }
 }
 
 #[cfg(test)]
@@ -173,9 +208,9 @@ mod tests {
         for n in [1, 2, 3, 10, 64, 65, 130] {
             let groups = random_groups(n, n / 2, &mut rng);
             let last = Some(rng.random_range(0..n as u32));
-            let by_degree = minimum_degree::order(n, &groups, last);
-            let amd_order = amd::order(n, &groups, last);
-            let by_amd = symbolic(n, &groups, &amd_order);
+            let (mut by_degree, mut by_amd) = (Elimination::default(), Elimination::default());
+            MinimumDegree::default().order(n, &groups, last, &mut by_degree);
+            symbolic(n, &groups, &amd::order(n, &groups, last), &mut by_amd);
             for elimination in [&by_degree, &by_amd] {
                 let mut sorted = elimination.order.clone();
                 sorted.sort_unstable();
@@ -197,7 +232,9 @@ mod tests {
         for v in 1..500 {
             groups.push([v - 1, v]);
         }
-        let elimination = order(500, &groups, Some(499));
+        let mut orderer = Orderer::default();
+        orderer.order(500, &groups, Some(499));
+        let elimination = orderer.elimination;
         assert!((0..500).all(|k| elimination.separator(k).len() <= 1));
     }
 }

@@ -1,0 +1,84 @@
+//! Buffers of numbers that are used again, so that a steady stream of updates allocates nothing.
+
+/// Free buffers by capacity: four classes for each doubling.
+#[derive(Debug, Default)]
+pub(crate) struct Pool {
+    classes: Vec<Vec<Vec<f64>>>,
+    /// Numbers that the free buffers hold together.
+    free: usize,
+    /// Numbers in buffers taken and not given back.
+    taken: usize,
+}
+
+/// Free buffers are kept up to this share of what is in use ...
+const KEPT_SHARE: usize = 4;
+/// ... and this many numbers: enough for the top of any tree.
+const KEPT: usize = 1 << 17;
+
+impl Pool {
+    /// A buffer of `len` zeros.
+    pub(crate) fn take(&mut self, len: usize) -> Vec<f64> {
+        let (class, capacity) = class_of(len);
+        self.taken += capacity;
+        let mut buffer = match self.classes.get_mut(class).and_then(Vec::pop) {
+            Some(buffer) => {
+                self.free -= capacity;
+                buffer
+            }
+            None => Vec::with_capacity(capacity),
+        };
+        buffer.resize(len, 0.0);
+        buffer
+    }
+
+    /// Takes a buffer back, to use it again or, when there are many, to free it.
+    pub(crate) fn give(&mut self, mut buffer: Vec<f64>) {
+        let (class, capacity) = class_of(buffer.capacity());
+        // Buffers from another thread's pool were not taken here.
+        self.taken = self.taken.saturating_sub(capacity);
+        // One that has grown elsewhere may fit no class.
+        let fits = buffer.capacity() == capacity;
+        if fits && self.free + capacity <= KEPT + self.taken / KEPT_SHARE {
+            buffer.clear();
+            if self.classes.len() <= class {
+                self.classes.resize_with(class + 1, Vec::new);
+            }
+            self.free += capacity;
+            self.classes[class].push(buffer);
+        }
+    }
+}
+
+/// The class of buffers for `len` numbers, and their capacity: `len` rounded up to four, five, six
+/// or seven times a power of two.
+fn class_of(len: usize) -> (usize, usize) {
+    let last = len.max(16) - 1;
+    let shift = last.ilog2() - 2;
+    let quarter = last >> shift;
+    (4 * shift as usize + quarter - 4, (quarter + 1) << shift)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn buffers_fit_and_come_back() {
+        let mut before = (0, 0);
+        for len in 0..5000 {
+            let (class, capacity) = class_of(len);
+            assert!(capacity >= len.max(16) && capacity <= len.max(16) * 5 / 4 + 1, "{len}");
+            assert!((class, capacity) >= before, "{len}");
+            assert_eq!(class_of(capacity), (class, capacity));
+            before = (class, capacity);
+        }
+        let mut pool = Pool::default();
+        let mut buffer = pool.take(100);
+        buffer.fill(7.0);
+        let place = buffer.as_ptr();
+        pool.give(buffer);
+        let again = pool.take(99);
+        assert_eq!(again.as_ptr(), place);
+        assert!(again.iter().all(|x| *x == 0.0));
+    }
+}

@@ -1,0 +1,109 @@
+//! Which cliques an update takes apart or eliminates again: sets that are closed towards the roots.
+
+use crate::tree::{NONE, Tree};
+
+/// What happens to a clique.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Mark {
+    /// Taken out; its variables are ordered anew.
+    Detached,
+    /// Eliminated again with new numbers, in place.
+    InPlace,
+}
+
+/// Marks by clique slot. Starting over costs nothing.
+#[derive(Debug, Default)]
+pub(crate) struct Marks {
+    /// Twice the round in which the clique was marked, plus one if in place.
+    stamp: Vec<u64>,
+    /// First frontal, as a position among the frontals, that is touched.
+    first: Vec<u32>,
+    /// Free for use, while the clique is marked.
+    pub(super) place: Vec<u32>,
+    round: u64,
+    /// Roots among the marked, in the order they were reached.
+    pub(super) roots: Vec<u32>,
+    pub(crate) count: usize,
+}
+
+impl Marks {
+    /// Clears all marks.
+    pub(super) fn start(&mut self, tree: &Tree) {
+        self.round += 1;
+        self.roots.clear();
+        self.count = 0;
+        if self.stamp.len() < tree.slots() {
+            self.stamp.resize(tree.slots(), 0);
+            self.first.resize(tree.slots(), 0);
+            self.place.resize(tree.slots(), NONE);
+        }
+    }
+
+    pub(crate) fn get(&self, clique: u32) -> Option<Mark> {
+        match self.stamp[clique as usize].checked_sub(2 * self.round) {
+            Some(0) => Some(Mark::Detached),
+            Some(_) => Some(Mark::InPlace),
+            None => None,
+        }
+    }
+
+    /// Position of the first touched frontal of a marked clique.
+    pub(super) fn first(&self, clique: u32) -> usize {
+        self.first[clique as usize] as usize
+    }
+
+    /// Marks the clique of a variable and all of its ancestors. What is marked already keeps its
+    /// mark: detach first.
+    pub(super) fn touch(&mut self, tree: &Tree, variable: u32, mark: Mark) {
+        let mut clique = tree.clique_of(variable);
+        if clique == NONE {
+            return;
+        }
+        let mut position = position_of(tree, clique, variable);
+        loop {
+            let slot = clique as usize;
+            if self.get(clique).is_some() {
+                self.first[slot] = self.first[slot].min(position);
+                return;
+            }
+            self.stamp[slot] = 2 * self.round + u64::from(mark == Mark::InPlace);
+            self.first[slot] = position;
+            self.count += 1;
+            let parent = tree.clique(clique).parent;
+            if parent == NONE {
+                self.roots.push(clique);
+                return;
+            }
+            // What the clique contributes changes all of its separator.
+            position = first_of_child(tree, parent, clique);
+            clique = parent;
+        }
+    }
+
+    /// Marks every clique.
+    pub(super) fn touch_all(&mut self, tree: &Tree, mark: Mark) {
+        for clique in tree.indices() {
+            self.stamp[clique as usize] = 2 * self.round + u64::from(mark == Mark::InPlace);
+            self.first[clique as usize] = 0;
+        }
+        self.count = tree.len();
+        self.roots.extend(tree.roots.iter().copied());
+    }
+}
+
+/// Position of a variable among the frontals of its clique.
+fn position_of(tree: &Tree, clique: u32, variable: u32) -> u32 {
+    let frontals = &tree.clique(clique).structure.frontals;
+    frontals.iter().position(|&v| v == variable).unwrap_or(0) as u32
+}
+
+/// Position, among the frontals of a clique, of the first that is in a child's separator.
+pub(super) fn first_of_child(tree: &Tree, clique: u32, child: u32) -> u32 {
+    let frontals = &tree.clique(clique).structure.frontals;
+    if frontals.len() == 1 {
+        return 0;
+    }
+    let separator = &tree.clique(child).structure.separator;
+    let own = separator.iter().filter(|&&v| tree.clique_of(v) == clique);
+    own.map(|&v| position_of(tree, clique, v)).min().unwrap_or(0)
+}

@@ -1,0 +1,226 @@
+//! The steps of an update between checking a change and committing it: what to detach, what to
+//! gather, and the new cliques. All of it reads only.
+
+mod marks;
+mod plan;
+
+use crate::ordering::{Groups, Orderer};
+use crate::symbolic::Cliques;
+use crate::tree::{Form, Structure, Tree};
+use evergraph_model::{Graph, Staged};
+use marks::first_of_child;
+use marks::{Mark, Marks};
+
+/// A clique whose first touched frontal is this one or a later one is split there, rather than
+/// taken apart whole.
+const SHORTEST_PREFIX: usize = 2;
+
+/// A clique that is split: its first `frontals` frontals stay, with their part of R.
+#[derive(Clone, Copy, Debug)]
+struct Split {
+    clique: u32,
+    frontals: usize,
+}
+
+/// Finds out what an update takes apart, and how to put it together again.
+#[derive(Debug, Default)]
+pub(crate) struct Planner {
+    marks: Marks,
+    /// Cliques to take out, children before parents.
+    pub(crate) detached: Vec<u32>,
+    splits: Vec<Split>,
+    /// Subtrees that stay, as they are or with new numbers, below what is taken out.
+    pub(crate) orphans: Vec<u32>,
+    /// Roots that are eliminated again in place.
+    roots: Vec<u32>,
+    /// Variables to eliminate again, in their old order of elimination, new ones at the end.
+    pub(crate) variables: Vec<u32>,
+    /// Factors to assemble again, and new ones.
+    factors: Vec<u32>,
+
+    /// By variable slot: position in `variables`.
+    local: Vec<u32>,
+    groups: Groups,
+    orderer: Orderer,
+    cliques: Cliques,
+    /// By new clique: its first subtree that stays, and the next one by subtree. Subtrees are the
+    /// orphans, then the splits.
+    subtree_of: Vec<u32>,
+    next_subtree: Vec<u32>,
+    /// By new clique: its first child among the new, the next of the same parent, its node.
+    child_of: Vec<u32>,
+    next_child: Vec<u32>,
+    node_of: Vec<u32>,
+    stack: Vec<u32>,
+    cliques_in_place: Vec<u32>,
+}
+
+impl Planner {
+    /// Detach and gather: what a staged change takes apart. `moved` are variables whose
+    /// linearization point moves by the change.
+    pub(crate) fn gather_change(
+        &mut self,
+        graph: &Graph,
+        tree: &Tree,
+        staged: &Staged,
+        moved: &[u32],
+    ) {
+        self.start(tree);
+        let new = staged.new_factors().map(|f| f as u32);
+        let dropped = staged.dropped_factors().iter().copied();
+        let moved = moved.iter().flat_map(|&v| graph.factors_at(v as usize).iter().copied());
+        for factor in new.chain(dropped).chain(moved) {
+            self.touch_factor(graph, tree, factor, Mark::Detached);
+        }
+        for &variable in staged.dropped_variables() {
+            self.touch_separators(tree, variable);
+        }
+        self.gather(graph, tree);
+        if !staged.dropped_variables().is_empty() {
+            self.variables.retain(|v| staged.dropped_variables().binary_search(v).is_err());
+        }
+        if !staged.dropped_factors().is_empty() {
+            self.factors.retain(|f| staged.dropped_factors().binary_search(f).is_err());
+        }
+        self.variables.extend(staged.new_variables().map(|v| v as u32));
+        self.factors.extend(staged.new_factors().map(|f| f as u32));
+    }
+
+    /// Everything: for a new order of the whole graph.
+    pub(crate) fn gather_everything(&mut self, graph: &Graph, tree: &Tree) {
+        self.start(tree);
+        self.marks.touch_all(tree, Mark::Detached);
+        self.gather(graph, tree);
+    }
+
+    /// What `factors`, linearized again, change in place.
+    pub(crate) fn gather_in_place(&mut self, graph: &Graph, tree: &Tree, factors: &[u32]) {
+        self.start(tree);
+        for &factor in factors {
+            self.touch_factor(graph, tree, factor, Mark::InPlace);
+        }
+        self.gather(graph, tree);
+    }
+
+    /// Everything, in place.
+    pub(crate) fn gather_all_in_place(&mut self, graph: &Graph, tree: &Tree) {
+        self.start(tree);
+        self.marks.touch_all(tree, Mark::InPlace);
+        self.gather(graph, tree);
+    }
+
+    /// How many cliques are taken out or eliminated again.
+    pub(crate) fn marked(&self) -> usize {
+        self.marks.count
+    }
+
+    fn start(&mut self, tree: &Tree) {
+        self.marks.start(tree);
+        self.detached.clear();
+        self.splits.clear();
+        self.orphans.clear();
+        self.roots.clear();
+        self.variables.clear();
+        self.factors.clear();
+    }
+
+    fn touch_factor(&mut self, graph: &Graph, tree: &Tree, factor: u32, mark: Mark) {
+        for &variable in graph.variables_at(factor as usize) {
+            self.marks.touch(tree, variable, mark);
+        }
+    }
+
+    /// Marks the clique of a variable that is dropped, and all that have it in their separator: a
+    /// clique may have a variable there that none of the factors below is on.
+    fn touch_separators(&mut self, tree: &Tree, variable: u32) {
+        self.marks.touch(tree, variable, Mark::Detached);
+        self.stack.clear();
+        self.stack.push(tree.clique_of(variable));
+        while let Some(clique) = self.stack.pop() {
+            for &child in &tree.clique(clique).children {
+                let structure = &tree.clique(child).structure;
+                if structure.separator.contains(&variable) {
+                    self.marks.touch(tree, structure.frontals[0], Mark::Detached);
+                    self.stack.push(child);
+                }
+            }
+        }
+    }
+
+    /// Collects what is marked. Recursion is on an explicit stack: elimination trees of chains are
+    /// deep.
+    fn gather(&mut self, graph: &Graph, tree: &Tree) {
+        let mut stack = std::mem::take(&mut self.stack);
+        stack.clear();
+        stack.extend_from_slice(&self.marks.roots);
+        while let Some(clique) = stack.pop() {
+            if self.marks.get(clique) == Some(Mark::InPlace) {
+                self.roots.push(clique);
+                continue;
+            }
+            self.detached.push(clique);
+            let split = self.split_at(tree, clique);
+            for &child in &tree.clique(clique).children {
+                match self.marks.get(child) {
+                    Some(Mark::Detached) => stack.push(child),
+                    Some(Mark::InPlace) => self.orphans.push(child),
+                    None if split > 0 && first_of_child(tree, clique, child) < split as u32 => {}
+                    None => self.orphans.push(child),
+                }
+            }
+            if split > 0 {
+                self.splits.push(Split { clique, frontals: split });
+            }
+        }
+        self.stack = stack;
+        self.detached.reverse();
+        for &clique in &self.detached {
+            let split = self.split_at(tree, clique);
+            let structure = &tree.clique(clique).structure;
+            self.variables.extend_from_slice(&structure.frontals[split..]);
+            if split == 0 {
+                self.factors.extend_from_slice(&structure.factors);
+            } else {
+                let first = &structure.frontals[..split];
+                let stays = |f: &u32| !is_on(graph, *f, first);
+                self.factors.extend(structure.factors.iter().copied().filter(stays));
+            }
+        }
+    }
+
+    /// Detached cliques whose first frontals stay.
+    pub(crate) fn splits(&self) -> impl Iterator<Item = u32> {
+        self.splits.iter().map(|split| split.clique)
+    }
+
+    /// How many of the first frontals of a detached clique stay.
+    fn split_at(&self, tree: &Tree, clique: u32) -> usize {
+        let first = self.marks.first(clique);
+        let splits =
+            first >= SHORTEST_PREFIX && tree.clique(clique).numeric.form == Form::Information;
+        if splits { first } else { 0 }
+    }
+}
+
+impl Split {
+    /// The separator of what stays: the other frontals, and the clique's own separator.
+    fn separator(self, tree: &Tree) -> impl Iterator<Item = u32> {
+        let structure = &tree.clique(self.clique).structure;
+        structure.frontals[self.frontals..].iter().chain(&structure.separator).copied()
+    }
+
+    /// What stays, with its factors.
+    fn structure(self, graph: &Graph, tree: &Tree) -> Structure {
+        let whole = &tree.clique(self.clique).structure;
+        let frontals = &whole.frontals[..self.frontals];
+        let mut structure = Structure::new(graph, frontals.into(), self.separator(tree).collect());
+        let factors = whole.factors.iter().copied();
+        structure.factors.extend(factors.filter(|&f| is_on(graph, f, frontals)));
+        structure
+    }
+}
+
+/// Whether a factor is on any of a few variables.
+fn is_on(graph: &Graph, factor: u32, variables: &[u32]) -> bool {
+    graph.variables_at(factor as usize).iter().any(|v| variables.contains(v))
+}

@@ -1,0 +1,184 @@
+//! Order and symbolic structure: from what was gathered to the cliques to eliminate.
+
+use evergraph_model::Graph;
+use smallvec::SmallVec;
+
+use super::Planner;
+use super::marks::first_of_child;
+use crate::eliminate::{Child, Job, Node, NodeStructure};
+use crate::tree::{NONE, Structure, Tree};
+
+impl Planner {
+    /// Fills `job` with the cliques to eliminate. `last` is eliminated last if it is affected.
+    pub(crate) fn plan(&mut self, graph: &Graph, tree: &Tree, last: u32, job: &mut Job) {
+        job.nodes.clear();
+        for at in 0..self.roots.len() {
+            self.push_in_place(tree, self.roots[at], job);
+        }
+        if self.variables.is_empty() {
+            return;
+        }
+        self.order(graph, tree, last);
+        self.hang(tree);
+        let count = self.cliques.cliques.len();
+        self.node_of.clear();
+        self.node_of.resize(count, NONE);
+        self.child_of.clear();
+        self.child_of.resize(count, NONE);
+        self.next_child.resize(count, NONE);
+        for at in 0..count {
+            self.push_new(graph, tree, self.cliques.postorder[at] as usize, job);
+        }
+        for at in 0..self.factors.len() {
+            let factor = self.factors[at];
+            let first = self.first_clique(graph.variables_at(factor as usize).iter().copied());
+            let node = &mut job.nodes[self.node_of[first] as usize];
+            if let NodeStructure::New(structure) = &mut node.structure {
+                structure.factors.push(factor);
+            }
+        }
+    }
+
+    /// Orders the affected variables and groups them into cliques.
+    fn order(&mut self, graph: &Graph, tree: &Tree, last: u32) {
+        let Self { local, groups, .. } = self;
+        if local.len() < graph.variable_slots() {
+            local.resize(graph.variable_slots(), NONE);
+        }
+        for (i, &v) in self.variables.iter().enumerate() {
+            local[v as usize] = i as u32;
+        }
+        let number = |v: u32| local[v as usize];
+        groups.clear();
+        for &factor in &self.factors {
+            groups.push(graph.variables_at(factor as usize).iter().map(|&v| number(v)));
+        }
+        for &orphan in &self.orphans {
+            groups.push(tree.clique(orphan).structure.separator.iter().map(|&v| number(v)));
+        }
+        for split in &self.splits {
+            groups.push(split.separator(tree).map(number));
+        }
+        // The newest variable has the highest local number unless it is an old one.
+        let last = self.variables.iter().rposition(|&v| v == last).map(|i| i as u32);
+        self.orderer.order(self.variables.len(), groups, last);
+        self.cliques.build(&self.orderer.elimination);
+    }
+
+    /// Hangs each subtree that stays at the new clique of its separator's first variable.
+    fn hang(&mut self, tree: &Tree) {
+        self.subtree_of.clear();
+        self.subtree_of.resize(self.cliques.cliques.len(), NONE);
+        self.next_subtree.resize(self.orphans.len() + self.splits.len(), NONE);
+        for subtree in (0..self.next_subtree.len()).rev() {
+            let clique = match subtree.checked_sub(self.orphans.len()) {
+                None => {
+                    let separator = &tree.clique(self.orphans[subtree]).structure.separator;
+                    self.first_clique(separator.iter().copied())
+                }
+                Some(split) => self.first_clique(self.splits[split].separator(tree)),
+            };
+            let next = std::mem::replace(&mut self.subtree_of[clique], subtree as u32);
+            self.next_subtree[subtree] = next;
+        }
+    }
+
+    /// The new clique that eliminates the first of `variables`.
+    fn first_clique(&self, variables: impl Iterator<Item = u32>) -> usize {
+        let position = &self.orderer.elimination.position;
+        let locals = variables.map(|v| self.local[v as usize]);
+        let first = locals.min_by_key(|&l| position[l as usize]);
+        let first = first.expect("factors and subtrees that hang have variables");
+        self.cliques.clique_of[first as usize] as usize
+    }
+
+    /// Adds a new clique, after the subtrees that stay below it.
+    fn push_new(&mut self, graph: &Graph, tree: &Tree, c: usize, job: &mut Job) {
+        let mut children: SmallVec<[Child; 4]> = SmallVec::new();
+        let mut child = self.child_of[c];
+        while child != NONE {
+            children.push(Child::Node(self.node_of[child as usize]));
+            child = self.next_child[child as usize];
+        }
+        let mut subtree = self.subtree_of[c];
+        while subtree != NONE {
+            children.push(self.push_subtree(graph, tree, subtree as usize, job));
+            subtree = self.next_subtree[subtree as usize];
+        }
+        let elimination = &self.orderer.elimination;
+        let clique = &self.cliques.cliques[c];
+        let slot = |l: u32| self.variables[l as usize];
+        let last = elimination.position[clique.last as usize] as usize;
+        let mut separator: SmallVec<[u32; 8]> = elimination.separator(last).into();
+        separator.sort_unstable_by_key(|&l| elimination.position[l as usize]);
+        separator.iter_mut().for_each(|l| *l = slot(*l));
+        let frontals = clique.frontals.iter().rev().map(|&l| slot(l)).collect();
+        let structure = Structure::new(graph, frontals, separator);
+        if let Some(parent) = clique.parent {
+            self.next_child[c] = std::mem::replace(&mut self.child_of[parent as usize], c as u32);
+        }
+        self.node_of[c] = push_node(NodeStructure::New(structure), children, job);
+    }
+
+    /// Adds the nodes of a subtree that stays; what its parent calls it.
+    fn push_subtree(&mut self, graph: &Graph, tree: &Tree, subtree: usize, job: &mut Job) -> Child {
+        let Some(at) = subtree.checked_sub(self.orphans.len()) else {
+            let orphan = self.orphans[subtree];
+            return match self.marks.get(orphan) {
+                Some(_) => Child::Node(self.push_in_place(tree, orphan, job)),
+                None => Child::Kept(orphan),
+            };
+        };
+        let split = self.splits[at];
+        let children = tree.clique(split.clique).children.iter().copied();
+        let children = children
+            .filter(|&c| self.marks.get(c).is_none())
+            .filter(|&c| first_of_child(tree, split.clique, c) < split.frontals as u32)
+            .map(Child::Kept)
+            .collect();
+        let structure = split.structure(graph, tree);
+        let structure = NodeStructure::Prefix { clique: split.clique, split: at as u32, structure };
+        Child::Node(push_node(structure, children, job))
+    }
+
+    /// Adds the marked cliques of a subtree, to be eliminated again in place; the node of its root.
+    fn push_in_place(&mut self, tree: &Tree, root: u32, job: &mut Job) -> u32 {
+        // Depth first, parents before children; then the other way round.
+        let mut cliques = std::mem::take(&mut self.cliques_in_place);
+        let mut pending = std::mem::take(&mut self.stack);
+        cliques.clear();
+        pending.clear();
+        pending.push(root);
+        while let Some(clique) = pending.pop() {
+            cliques.push(clique);
+            let children = tree.clique(clique).children.iter().copied();
+            pending.extend(children.filter(|&c| self.marks.get(c).is_some()));
+        }
+        let mut node = 0;
+        for &clique in cliques.iter().rev() {
+            let children = tree.clique(clique).children.iter();
+            let children = children
+                .map(|&child| match self.marks.get(child) {
+                    Some(_) => Child::Node(self.marks.place[child as usize]),
+                    None => Child::Kept(child),
+                })
+                .collect();
+            node = push_node(NodeStructure::Existing(clique), children, job);
+            self.marks.place[clique as usize] = node;
+        }
+        (self.cliques_in_place, self.stack) = (cliques, pending);
+        node
+    }
+}
+
+/// Adds a node, and tells its children.
+fn push_node(structure: NodeStructure, children: SmallVec<[Child; 4]>, job: &mut Job) -> u32 {
+    let node = job.nodes.len() as u32;
+    for child in &children {
+        if let Child::Node(child) = child {
+            job.nodes[*child as usize].parent = Some(node);
+        }
+    }
+    job.nodes.push(Node { structure, children, parent: None });
+    node
+}
