@@ -164,6 +164,7 @@ impl Smoother {
             Ok(_) => {
                 self.solution = solve::State::default();
                 self.solution.resize(&self.graph);
+                self.pending.clear();
                 self.at_optimum = true;
             }
             Err(_) => {
@@ -206,7 +207,7 @@ impl Smoother {
                     Err(error) => return Err(error),
                 }
             }
-            let delta = solve::all(&self.graph, &self.tree);
+            let delta = solve::all(self.scratch.instructions, &self.graph, &self.tree);
             let trial = retract_all(&self.graph, &self.points, &delta);
             let trial_error = self.graph.error(&trial);
             let promised = decrease_of_model(&self.graph, &self.blocks, &delta);
@@ -263,7 +264,7 @@ impl Smoother {
                 self.eliminate_in_place(0.0)?;
                 eliminated = true;
             }
-            let newton = solve::all(&self.graph, &self.tree);
+            let newton = solve::all(self.scratch.instructions, &self.graph, &self.tree);
             let scale = diagonal(&self.graph, &self.blocks);
             let gradient = gradient(&self.graph, &self.blocks);
             let steepest = steepest_descent(&self.graph, &self.blocks, &gradient, &scale);

@@ -77,7 +77,7 @@ impl Smoother {
                 system.rhs[column] = *rhs;
             }
         }
-        let delta = solve::all(graph, &self.tree);
+        let delta = solve::all(self.scratch.instructions, graph, &self.tree);
         for (scalar, &column) in column_of.iter().enumerate() {
             if column != usize::MAX {
                 system.delta[column] = delta[scalar];

@@ -64,6 +64,7 @@ mod smoother;
 mod solve;
 mod symbolic;
 mod tree;
+mod undo;
 mod update;
 
 pub use batch::{BatchReport, BatchSettings, Method, Reason, Status};

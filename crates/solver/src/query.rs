@@ -50,7 +50,7 @@ impl Smoother {
         if self.at_optimum {
             return Ok(self.graph.value(index, point));
         }
-        let delta = solve::path(&self.graph, &self.tree, index as u32);
+        let delta = solve::path(self.scratch.instructions, &self.graph, &self.tree, index as u32);
         let mut estimate = vec![0.0; point.len()];
         self.graph.kind_at(index).retract(point, &delta, &mut estimate);
         Ok(self.graph.value(index, &estimate))
@@ -109,7 +109,7 @@ impl Smoother {
         let mut hash = DefaultHasher::new();
         self.graph.hash_state(&mut hash);
         let mut number = |x: f64| hash.write_u64(x.to_bits());
-        let delta = solve::all(&self.graph, &self.tree);
+        let delta = solve::all(self.scratch.instructions, &self.graph, &self.tree);
         for v in self.graph.variable_indices() {
             self.points[self.graph.value_range(v)].iter().for_each(|&x| number(x));
             delta[self.graph.tangent_range(v)].iter().for_each(|&x| number(x));
@@ -130,7 +130,7 @@ impl Smoother {
         if self.at_optimum {
             return self.points.clone();
         }
-        let delta = solve::all(&self.graph, &self.tree);
+        let delta = solve::all(self.scratch.instructions, &self.graph, &self.tree);
         retract_all(&self.graph, &self.points, &delta)
     }
 }

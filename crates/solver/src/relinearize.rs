@@ -1,6 +1,6 @@
 //! Moving linearization points to the estimate, as the policy asks.
 
-use evergraph_model::Graph;
+use evergraph_model::{Change, Staged};
 use tracing::debug;
 
 use crate::batch::{BatchReport, BatchSettings};
@@ -8,20 +8,71 @@ use crate::error::SmootherError;
 use crate::report::Report;
 use crate::smoother::{Scratch, Smoother};
 
-/// When more than this share of the cliques has to be eliminated again, a fresh order for the
-/// whole graph costs little more and gives better fill.
-const REBUILD_SHARE: f64 = 0.6;
+/// Variables that a check found too far from their linearization points.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Pending {
+    pub(crate) variables: Vec<u32>,
+    /// How many of them are done.
+    done: usize,
+}
+
+impl Pending {
+    fn left(&self) -> &[u32] {
+        &self.variables[self.done..]
+    }
+
+    pub(crate) fn advance(&mut self, count: usize) {
+        self.done += count;
+    }
+
+    pub(crate) fn clear(&mut self) {
+        self.variables.clear();
+        self.done = 0;
+    }
+}
+
+fn env(name: &str, default: f64) -> f64 {
+    std::env::var(name).ok().and_then(|x| x.parse().ok()).unwrap_or(default)
+}
 
 impl Smoother {
-    /// Step 7 of `apply`.
-    pub(crate) fn relinearize(&mut self, report: &mut Report) {
+    /// Chooses from the pending variables those that this step relinearizes, and marks the cliques
+    /// that this changes in place.
+    pub(crate) fn choose_due(&mut self, change: &Change, staged: &Staged, with_due: bool) {
+        let Scratch { planner, due, considered, .. } = &mut self.scratch;
+        due.clear();
+        *considered = 0;
+        if !with_due {
+            // They have been tried.
+            *considered = self.pending.left().len();
+            return;
+        }
+        thread_local!(static B: (f64, f64) = (env("EG_C", 4e5), env("EG_R", 1.0)));
+        let (c, r) = B.with(|b| *b);
+        let limit = planner.cost() * (1.0 + r) + c;
+        for &variable in self.pending.left() {
+            if planner.cost() > limit {
+                break;
+            }
+            *considered += 1;
+            let moves = change.moves().iter().any(|(v, _)| v.index() as u32 == variable);
+            let dropped = staged.dropped_variables().binary_search(&variable).is_ok();
+            if !moves && !dropped && self.graph.is_variable_at(variable as usize) {
+                planner.touch_variable(&self.graph, &self.tree, variable);
+                due.push(variable);
+            }
+        }
+    }
+
+    /// After every so many steps, looks which variables have moved too far; or takes a batch step.
+    pub(crate) fn look_for_due(&mut self, report: &mut Report) {
         let policy = self.settings.relinearization;
         let steps = self.steps;
         let due = |every: std::num::NonZeroU32| steps.is_multiple_of(u64::from(every.get()));
         if policy.batch.is_some_and(due) {
             match self.optimize(&BatchSettings::periodic()) {
                 Ok(batch) => {
-                    report.variables_relinearized =
+                    report.variables_relinearized +=
                         batch.iterations as usize * self.graph.variable_count();
                     report.cliques_eliminated += self.tree.len();
                     report.batch = Some(batch);
@@ -43,77 +94,50 @@ impl Smoother {
             .map(|check| check.threshold)
             .fold(f64::INFINITY, f64::min);
         let tolerance = self.settings.back_substitution_tolerance.min(smallest);
-        self.solution.refresh(&self.graph, &mut self.tree, tolerance, smallest);
-        let moved = self.solution.moved_beyond(&self.graph, threshold, smallest);
-        if moved.is_empty() {
-            return;
-        }
-        match self.move_points(&moved) {
-            Ok(cliques) => {
-                debug!(step = steps, variables = moved.len(), cliques, threshold, "relinearized");
-                report.variables_relinearized = moved.len();
-                report.cliques_eliminated += cliques;
-            }
-            Err(error) => report.relinearization_refused = Some(error),
-        }
-    }
-
-    /// Moves the linearization points of `variables` by the δ of the last check, linearizes their
-    /// factors again, and eliminates what depends on them: in place, or everything in a fresh order when
-    /// it is most of the tree. Returns how many cliques that were.
-    ///
-    /// On error nothing has changed.
-    fn move_points(&mut self, variables: &[u32]) -> Result<usize, SmootherError> {
-        let mut old_points = Vec::with_capacity(variables.len());
-        for &v in variables {
-            let range = self.graph.value_range(v as usize);
-            let delta = &self.solution.delta[self.graph.tangent_range(v as usize)];
-            let old = self.points[range.clone()].to_vec();
-            self.graph.kind_at(v as usize).retract(&old, delta, &mut self.points[range]);
-            old_points.push(old);
-        }
-        let factors = factors_of(&self.graph, variables);
-        let mut old_blocks = Vec::with_capacity(factors.len());
-        let mut result = Ok(());
-        for &f in &factors {
-            old_blocks.push(self.blocks.get(f as usize).to_vec());
-            if !self.blocks.relinearize(&self.graph, f as usize, &self.points) {
-                result = Err(self.non_finite(f as usize));
-                break;
-            }
-        }
-        let result = result.and_then(|()| self.eliminate_moved(&factors));
-        match result {
-            Ok(cliques) => {
-                for &v in variables {
-                    self.solution.reset(&self.graph, v as usize);
+        thread_local!(static F: f64 = env("EG_F", 0.0));
+        let (threshold, smallest) =
+            F.with(|f| if *f > 0.0 { (*f, *f) } else { (threshold, smallest) });
+        thread_local!(static TOL: f64 = env("EG_TOL", 0.0));
+        let tolerance = TOL.with(|t| if *t > 0.0 { *t } else { tolerance });
+        self.solution.refresh(
+            self.scratch.instructions,
+            &self.graph,
+            &mut self.tree,
+            tolerance,
+            smallest,
+        );
+        self.pending.clear();
+        self.pending.variables = self.solution.moved_beyond(&self.graph, threshold, smallest);
+        thread_local!(static T: f64 = env("EG_TAU", 0.0));
+        let tau = T.with(|b| *b);
+        if tau > 0.0 && !self.pending.variables.is_empty() {
+            let trial =
+                crate::quadratic::retract_all(&self.graph, &self.points, &self.solution.delta);
+            let mut block = vec![0.0; 4096];
+            let (graph, blocks, delta) = (&self.graph, &self.blocks, &self.solution.delta);
+            let mut miss = |f: u32| {
+                let f = f as usize;
+                let len = graph.linearization_len(f);
+                let rows = graph.rows_at(f);
+                graph.linearize(f, &trial, &mut block[..len]);
+                let old = blocks.get(f);
+                let mut r: Vec<f64> = old[len - rows..].to_vec();
+                let scalars =
+                    graph.variables_at(f).iter().flat_map(|&v| graph.tangent_range(v as usize));
+                for (s, c) in scalars.zip(old.chunks_exact(rows)) {
+                    for (r, c) in r.iter_mut().zip(c) {
+                        *r += c * delta[s];
+                    }
                 }
-                Ok(cliques)
-            }
-            Err(error) => {
-                for (&f, block) in factors.iter().zip(&old_blocks) {
-                    self.blocks.restore(f as usize, block);
-                }
-                for (&v, point) in variables.iter().zip(&old_points) {
-                    self.points[self.graph.value_range(v as usize)].copy_from_slice(point);
-                }
-                Err(error)
-            }
+                let e: f64 =
+                    r.iter().zip(&block[len - rows..]).map(|(a, b)| (a - b) * (a - b)).sum();
+                e.sqrt()
+            };
+            self.pending
+                .variables
+                .retain(|&v| graph.factors_at(v as usize).iter().any(|&f| miss(f) > tau));
         }
-    }
-
-    fn eliminate_moved(&mut self, factors: &[u32]) -> Result<usize, SmootherError> {
-        let Scratch { planner, job, .. } = &mut self.scratch;
-        planner.gather_in_place(&self.graph, &self.tree, factors);
-        let count = planner.marked();
-        if count as f64 > REBUILD_SHARE * self.tree.len() as f64 {
-            self.rebuild()?;
-            return Ok(self.tree.len());
-        }
-        planner.plan(&self.graph, &self.tree, self.newest, job);
-        self.eliminate(None).map_err(|failure| self.explain(failure, &[], &[]))?;
-        self.install();
-        Ok(count)
+        debug!(step = steps, variables = self.pending.variables.len(), threshold, "due");
     }
 
     /// Eliminates everything in a fresh order, at the current linearization.
@@ -135,13 +159,4 @@ impl Smoother {
     pub fn relinearize_batch(&mut self) -> Result<BatchReport, SmootherError> {
         self.optimize(&BatchSettings::default())
     }
-}
-
-/// Factors on any of `variables`, each once, by slot.
-fn factors_of(graph: &Graph, variables: &[u32]) -> Vec<u32> {
-    let mut factors: Vec<u32> =
-        variables.iter().flat_map(|&v| graph.factors_at(v as usize).iter().copied()).collect();
-    factors.sort_unstable();
-    factors.dedup();
-    factors
 }

@@ -10,10 +10,12 @@ use crate::diagnose;
 use crate::eliminate::{self, Eliminated, Failure, Job, System, Workspace};
 use crate::error::SmootherError;
 use crate::linearization::Blocks;
+use crate::relinearize::Pending;
 use crate::report::Report;
 use crate::settings::Settings;
 use crate::solve;
 use crate::tree::{Clique, NONE, Tree};
+use crate::undo::Undo;
 use crate::update::Planner;
 
 /// An incremental smoother: a factor graph, its square-root information matrix as a tree of
@@ -31,6 +33,8 @@ pub struct Smoother {
     pub(crate) blocks: Blocks,
     pub(crate) tree: Tree,
     pub(crate) solution: solve::State,
+    /// Variables to relinearize in the next steps.
+    pub(crate) pending: Pending,
     /// Slot of the variable that is eliminated last.
     pub(crate) newest: u32,
     /// Changes applied.
@@ -47,6 +51,13 @@ pub(crate) struct Scratch {
     pub(crate) planner: Planner,
     pub(crate) job: Job,
     pub(crate) eliminated: Eliminated,
+    pub(crate) undo: Undo,
+    /// Variables that this step relinearizes.
+    pub(crate) due: Vec<u32>,
+    /// How many of the pending ones were looked at for that.
+    pub(crate) considered: usize,
+    /// Factors to linearize again.
+    again: Vec<u32>,
     pub(crate) workspace: Workspace,
     /// The clique of each node of a job that is installed.
     pub(crate) installed: Vec<u32>,
@@ -62,6 +73,10 @@ impl Scratch {
             planner: Planner::default(),
             job: Job::default(),
             eliminated: Eliminated::default(),
+            undo: Undo::default(),
+            due: Vec::new(),
+            considered: 0,
+            again: Vec::new(),
             workspace: Workspace::default(),
             installed: Vec::new(),
             shortened: Vec::new(),
@@ -75,15 +90,6 @@ impl Clone for Scratch {
     fn clone(&self) -> Self {
         Self::new(self.instructions, self.pool.clone())
     }
-}
-
-/// What it takes to go back to before a change was linearized.
-#[derive(Default)]
-struct Undo {
-    points_len: usize,
-    old_points: Vec<(u32, Vec<f64>)>,
-    old_blocks: Vec<(u32, Vec<f64>)>,
-    inserted: Vec<(u32, (usize, usize))>,
 }
 
 impl Smoother {
@@ -108,6 +114,7 @@ impl Smoother {
             blocks: Blocks::default(),
             tree: Tree::default(),
             solution: solve::State::default(),
+            pending: Pending::default(),
             newest: NONE,
             steps: 0,
             at_optimum: false,
@@ -130,46 +137,41 @@ impl Smoother {
     pub fn apply(&mut self, change: Change) -> Result<Report, SmootherError> {
         // 1. Check the change, and add to the graph what it adds.
         let staged = self.graph.stage(&change)?;
-        let moved: Vec<u32> = change.moves().iter().map(|(v, _)| v.index() as u32).collect();
-        // 2. Linearize new factors, and those of moved variables.
-        let mut undo = Undo { points_len: self.points.len(), ..Undo::default() };
-        if let Err(error) = self.linearize(&change, &staged, &mut undo) {
-            return Err(self.roll_back(undo, staged, error));
-        }
-        // 3. Detach the cliques that it touches and their ancestors; gather their factors.
         let newest = self.newest_after(&staged);
-        let Scratch { planner, job, .. } = &mut self.scratch;
-        planner.gather_change(&self.graph, &self.tree, &staged, &moved);
-        // 4. Order the affected variables and build the new cliques.
-        planner.plan(&self.graph, &self.tree, newest, job);
-        let (variables_eliminated, subtrees_kept) =
-            (planner.variables.len(), planner.orphans.len());
-        // 5. Eliminate them, bottom-up.
-        if let Err(failure) = self.eliminate(None) {
-            let error = self.explain(failure, staged.dropped_factors(), staged.dropped_variables());
-            return Err(self.roll_back(undo, staged, error));
+        // 2. Eliminate what it affects anew, together with what is due to be relinearized.
+        let mut report = Report::default();
+        if let Err(error) = self.eliminate_change(&change, &staged, newest, true) {
+            // Perhaps without moving points that nobody asked to move.
+            if self.scratch.due.is_empty() {
+                self.graph.unstage(staged);
+                return Err(error);
+            }
+            report.relinearization_refused = Some(error);
+            if let Err(error) = self.eliminate_change(&change, &staged, newest, false) {
+                self.graph.unstage(staged);
+                return Err(error);
+            }
         }
-        // 6. Commit.
-        let mut report = Report {
-            variables_eliminated,
-            cliques_eliminated: self.scratch.job.nodes.len(),
-            subtrees_kept,
-            smallest_pivot_ratio: self.scratch.eliminated.smallest_pivot_ratio(),
-            ..Report::default()
-        };
+        // 3. Commit.
+        report.variables_eliminated = self.scratch.planner.variables.len();
+        report.cliques_eliminated = self.scratch.job.nodes.len();
+        report.subtrees_kept = self.scratch.planner.orphans.len();
+        report.variables_relinearized = self.scratch.due.len();
+        report.smallest_pivot_ratio = self.scratch.eliminated.smallest_pivot_ratio();
         self.install();
-        self.commit(staged, &moved);
+        self.commit(staged, &change);
         self.newest = newest;
         self.steps += 1;
         self.at_optimum = false;
-        // 7. Relinearize what the policy asks for.
-        self.relinearize(&mut report);
+        // 4. Find out what is due next.
+        self.look_for_due(&mut report);
         report.rank = self.graph.dim();
         trace!(
             step = self.steps,
             variables = report.variables_eliminated,
             cliques = report.cliques_eliminated,
             kept = report.subtrees_kept,
+            relinearized = report.variables_relinearized,
             "applied"
         );
         Ok(report)
@@ -177,39 +179,68 @@ impl Smoother {
 
     // --- Steps of `apply` ------------------------------------------------------------------
 
-    /// Linearizes what is new or moved, and notes in `undo` what that overwrites.
-    fn linearize(
+    /// Everything that may fail. On error, points and Jacobians are what they were.
+    fn eliminate_change(
         &mut self,
         change: &Change,
         staged: &Staged,
-        undo: &mut Undo,
+        newest: u32,
+        with_due: bool,
     ) -> Result<(), SmootherError> {
-        self.points.resize(self.graph.value_len(), 0.0);
-        for (id, value) in change.new_variables() {
-            self.points[self.graph.value_range(id.index())].copy_from_slice(value.storage());
+        // Mark the cliques that the change touches, and their ancestors, to be detached.
+        let moved = change.moves().iter().map(|(v, _)| v.index() as u32);
+        self.scratch.planner.touch_change(&self.graph, &self.tree, staged, moved);
+        // Mark those of variables that are due, to be eliminated again in place.
+        self.choose_due(change, staged, with_due);
+        // Move points and linearize.
+        self.scratch.undo.start(self.points.len());
+        let result = self.linearize(change, staged).and_then(|()| {
+            // Order the affected variables and build the new cliques.
+            let Scratch { planner, job, .. } = &mut self.scratch;
+            planner.gather_change(&self.graph, &self.tree, staged);
+            planner.plan(&self.graph, &self.tree, newest, job);
+            // Eliminate, bottom-up.
+            let dropped = (staged.dropped_factors(), staged.dropped_variables());
+            self.eliminate(None).map_err(|failure| self.explain(failure, dropped.0, dropped.1))
+        });
+        if result.is_err() {
+            self.scratch.undo.take_back(&self.graph, &mut self.points, &mut self.blocks);
         }
+        result
+    }
+
+    /// Moves the points that the change moves and those that are due, and linearizes what is on
+    /// them and what is new.
+    fn linearize(&mut self, change: &Change, staged: &Staged) -> Result<(), SmootherError> {
+        let Self { graph, points, blocks, solution, scratch, .. } = self;
+        let Scratch { undo, due, again, .. } = scratch;
+        points.resize(graph.value_len(), 0.0);
+        for (id, value) in change.new_variables() {
+            points[graph.value_range(id.index())].copy_from_slice(value.storage());
+        }
+        again.clear();
         for (id, value) in change.moves() {
-            let range = self.graph.value_range(id.index());
-            undo.old_points.push((id.index() as u32, self.points[range.clone()].to_vec()));
-            self.points[range].copy_from_slice(value.storage());
+            undo.save_point(graph, points, id.index() as u32);
+            points[graph.value_range(id.index())].copy_from_slice(value.storage());
+            again.extend_from_slice(graph.factors_at(id.index()));
+        }
+        for &variable in &*due {
+            undo.save_point(graph, points, variable);
+            solution.move_point(graph, variable as usize, points);
+            again.extend_from_slice(graph.factors_at(variable as usize));
         }
         for factor in staged.new_factors() {
-            undo.inserted.push((factor as u32, self.blocks.mark()));
-            if !self.blocks.insert(&self.graph, factor, &self.points) {
+            undo.save_insertion(blocks, factor as u32);
+            if !blocks.insert(graph, factor, points) {
                 return Err(self.non_finite(factor));
             }
         }
-        let mut again: Vec<u32> = change
-            .moves()
-            .iter()
-            .flat_map(|(v, _)| self.graph.factors_at(v.index()).iter().copied())
-            .filter(|f| staged.dropped_factors().binary_search(f).is_err())
-            .collect();
         again.sort_unstable();
         again.dedup();
-        for factor in again {
-            undo.old_blocks.push((factor, self.blocks.get(factor as usize).to_vec()));
-            if !self.blocks.relinearize(&self.graph, factor as usize, &self.points) {
+        again.retain(|f| staged.dropped_factors().binary_search(f).is_err());
+        for &factor in &*again {
+            undo.save_block(blocks, factor);
+            if !blocks.relinearize(graph, factor as usize, points) {
                 return Err(self.non_finite(factor as usize));
             }
         }
@@ -222,21 +253,6 @@ impl Smoother {
             name: self.graph.factor_at(factor).name(),
             variables: self.graph.factor_at(factor).keys().to_vec(),
         }
-    }
-
-    fn roll_back(&mut self, undo: Undo, staged: Staged, error: SmootherError) -> SmootherError {
-        for (factor, block) in undo.old_blocks {
-            self.blocks.restore(factor as usize, &block);
-        }
-        for (factor, mark) in undo.inserted.into_iter().rev() {
-            self.blocks.undo_insert(factor as usize, mark);
-        }
-        for (variable, point) in undo.old_points {
-            self.points[self.graph.value_range(variable as usize)].copy_from_slice(&point);
-        }
-        self.points.truncate(undo.points_len);
-        self.graph.unstage(staged);
-        error
     }
 
     /// The variable to eliminate last: the latest of the largest new ones (of a pose and its
@@ -279,7 +295,7 @@ impl Smoother {
         }
     }
 
-    fn commit(&mut self, staged: Staged, moved: &[u32]) {
+    fn commit(&mut self, staged: Staged, change: &Change) {
         for &factor in staged.dropped_factors() {
             self.blocks.remove(factor as usize);
         }
@@ -287,9 +303,13 @@ impl Smoother {
         for variable in staged.new_variables() {
             self.solution.reset(&self.graph, variable);
         }
-        for &variable in moved {
+        for (variable, _) in change.moves() {
+            self.solution.reset(&self.graph, variable.index());
+        }
+        for &variable in &self.scratch.due {
             self.solution.reset(&self.graph, variable as usize);
         }
+        self.pending.advance(self.scratch.considered);
         self.graph.commit(staged);
     }
 }

@@ -5,12 +5,16 @@
 //! [`State::refresh`] (only what has changed by more than a tolerance).
 
 use evergraph_model::Graph;
+use pulp::{Simd, WithSimd};
+use smallvec::SmallVec;
 
-use crate::tree::{Clique, Tree};
+use crate::dense::Instructions;
+use crate::tree::{Clique, Numeric, Tree};
 
 /// Solves one clique for its frontals, given a way to read the separator's δ.
 /// `out` has `frontal_dim` entries. O(frontal · front).
 fn solve_clique(
+    instructions: Instructions,
     graph: &Graph,
     clique: &Clique,
     scratch: &mut Vec<f64>,
@@ -28,34 +32,58 @@ fn solve_clique(
     }
     // The right-hand side is the last entry of a row: it joins the sum with coefficient 1.
     scratch[n - 1] = 1.0;
-    for j in (0..frontal).rev() {
-        let row = clique.numeric.row(j);
-        scratch[j] = -dot(&row[1..], &scratch[j + 1..]) / row[0];
-    }
+    let op = BackSubstitute { numeric: &clique.numeric, solution: scratch };
+    instructions.dispatch(layout, op);
     scratch.truncate(frontal);
 }
 
-/// The inner product in eight interleaved sums, which the compiler turns into vectors.
-fn dot(x: &[f64], y: &[f64]) -> f64 {
-    let (x_chunks, x_rest) = x.as_chunks::<8>();
-    let (y_chunks, y_rest) = y.as_chunks::<8>();
-    let mut sums = [0.0; 8];
-    for (x, y) in x_chunks.iter().zip(y_chunks) {
-        for k in 0..8 {
-            sums[k] += x[k] * y[k];
+/// Solves `R_ff δ_f = −d − R_fs δ_s`; the solution has δ_s and 1 behind the frontal part.
+struct BackSubstitute<'a> {
+    numeric: &'a Numeric,
+    solution: &'a mut [f64],
+}
+
+impl WithSimd for BackSubstitute<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { numeric, solution } = self;
+        for j in (0..numeric.layout.frontal()).rev() {
+            let row = numeric.row(j);
+            solution[j] = -dot(simd, &row[1..], &solution[j + 1..]) / row[0];
         }
     }
-    let rest: f64 = x_rest.iter().zip(y_rest).map(|(x, y)| x * y).sum();
-    sums.iter().sum::<f64>() + rest
+}
+
+/// The inner product, in several interleaved sums.
+#[inline(always)]
+fn dot<S: Simd>(simd: S, x: &[f64], y: &[f64]) -> f64 {
+    let (x_head, x_tail) = S::as_simd_f64s(x);
+    let (y_head, y_tail) = S::as_simd_f64s(&y[..x.len()]);
+    let mut sums = [simd.splat_f64s(0.0); 4];
+    let (x_fours, x_rest) = x_head.as_chunks::<4>();
+    let (y_fours, y_rest) = y_head.as_chunks::<4>();
+    for (x, y) in x_fours.iter().zip(y_fours) {
+        for k in 0..4 {
+            sums[k] = simd.mul_add_e_f64s(x[k], y[k], sums[k]);
+        }
+    }
+    for (x, y) in x_rest.iter().zip(y_rest) {
+        sums[0] = simd.mul_add_e_f64s(*x, *y, sums[0]);
+    }
+    let sum = simd.add_f64s(simd.add_f64s(sums[0], sums[1]), simd.add_f64s(sums[2], sums[3]));
+    let tail: f64 = x_tail.iter().zip(y_tail).map(|(x, y)| x * y).sum();
+    simd.reduce_sum_f64s(sum) + tail
 }
 
 /// δ of every variable, exact; laid out by tangent ranges.
-pub(crate) fn all(graph: &Graph, tree: &Tree) -> Vec<f64> {
+pub(crate) fn all(instructions: Instructions, graph: &Graph, tree: &Tree) -> Vec<f64> {
     let mut delta = vec![0.0; graph.tangent_len()];
     let mut scratch = Vec::new();
     for index in tree.top_down() {
         let clique = tree.clique(index);
-        solve_clique(graph, clique, &mut scratch, |v, out| {
+        solve_clique(instructions, graph, clique, &mut scratch, |v, out| {
             out.copy_from_slice(&delta[graph.tangent_range(v as usize)]);
         });
         let mut at = 0;
@@ -70,7 +98,12 @@ pub(crate) fn all(graph: &Graph, tree: &Tree) -> Vec<f64> {
 }
 
 /// δ of one variable, exact: solves the cliques between its root and its own.
-pub(crate) fn path(graph: &Graph, tree: &Tree, variable: u32) -> Vec<f64> {
+pub(crate) fn path(
+    instructions: Instructions,
+    graph: &Graph,
+    tree: &Tree,
+    variable: u32,
+) -> Vec<f64> {
     let path = tree.path_to(tree.clique_of(variable));
     // Where on the path each clique stands; the newest variable's path is a single clique.
     let mut places: Vec<(u32, usize)> =
@@ -79,7 +112,7 @@ pub(crate) fn path(graph: &Graph, tree: &Tree, variable: u32) -> Vec<f64> {
     let mut solved: Vec<Vec<f64>> = Vec::with_capacity(path.len());
     for &index in &path {
         let mut scratch = Vec::new();
-        solve_clique(graph, tree.clique(index), &mut scratch, |v, out| {
+        solve_clique(instructions, graph, tree.clique(index), &mut scratch, |v, out| {
             let owner = tree.clique_of(v);
             let place = places
                 .binary_search_by_key(&owner, |p| p.0)
@@ -126,6 +159,7 @@ pub(crate) struct State {
     /// Variables with a component of δ beyond the threshold of the last refreshes, perhaps more
     /// than once or no longer; see [`State::moved_beyond`].
     far: Vec<u32>,
+    seen: Vec<bool>,
     scratch: Vec<f64>,
 }
 
@@ -142,11 +176,20 @@ impl State {
         self.changed[variable] = self.clock;
     }
 
+    /// Moves a variable's point by its δ as of the last refresh.
+    pub(crate) fn move_point(&self, graph: &Graph, variable: usize, points: &mut [f64]) {
+        let range = graph.value_range(variable);
+        let old: SmallVec<[f64; 16]> = points[range.clone()].into();
+        let delta = &self.delta[graph.tangent_range(variable)];
+        graph.kind_at(variable).retract(&old, delta, &mut points[range]);
+    }
+
     /// Solves cliques that are new, or whose separator has moved by more than `tolerance` since
     /// they were last solved; by running intersection the subtree of any other clique is left
     /// alone. Remembers what lies beyond `threshold`.
     pub(crate) fn refresh(
         &mut self,
+        instructions: Instructions,
         graph: &Graph,
         tree: &mut Tree,
         tolerance: f64,
@@ -163,7 +206,7 @@ impl State {
                 continue;
             }
             let mut scratch = std::mem::take(&mut self.scratch);
-            solve_clique(graph, clique, &mut scratch, |v, out| {
+            solve_clique(instructions, graph, clique, &mut scratch, |v, out| {
                 out.copy_from_slice(&self.delta[graph.tangent_range(v as usize)]);
             });
             let mut at = 0;
@@ -201,8 +244,10 @@ impl State {
             graph.is_variable_at(v as usize)
                 && delta[graph.tangent_range(v as usize)].iter().any(|d| d.abs() > limit)
         };
-        self.far.sort_unstable();
-        self.far.dedup();
+        self.seen.resize(graph.variable_slots(), false);
+        let seen = &mut self.seen;
+        self.far.retain(|&v| !std::mem::replace(&mut seen[v as usize], true));
+        self.far.iter().for_each(|&v| seen[v as usize] = false);
         self.far.retain(|&v| beyond(v, smallest));
         self.far.iter().copied().filter(|&v| beyond(v, threshold)).collect()
     }

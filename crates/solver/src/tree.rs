@@ -49,6 +49,13 @@ impl Structure {
         FrontLayout::new(self.frontal_dim as usize, self.separator_dim as usize + 1)
     }
 
+    /// What it costs to eliminate the clique, in units of about a nanosecond: arithmetic, traffic
+    /// of the front, and what any clique costs. A rough guide for budgets.
+    pub(crate) fn cost(&self) -> f64 {
+        let (f, n) = (f64::from(self.frontal_dim), self.layout().columns() as f64);
+        0.06 * f * n * n + n * n + 400.0
+    }
+
     pub(crate) fn variables(&self) -> impl Iterator<Item = u32> {
         self.frontals.iter().chain(&self.separator).copied()
     }

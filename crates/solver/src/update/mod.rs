@@ -56,25 +56,41 @@ pub(crate) struct Planner {
 }
 
 impl Planner {
-    /// Detach and gather: what a staged change takes apart. `moved` are variables whose
-    /// linearization point moves by the change.
-    pub(crate) fn gather_change(
+    /// Marks what a staged change takes apart. `moved` are variables whose linearization point it
+    /// moves.
+    pub(crate) fn touch_change(
         &mut self,
         graph: &Graph,
         tree: &Tree,
         staged: &Staged,
-        moved: &[u32],
+        moved: impl Iterator<Item = u32>,
     ) {
         self.start(tree);
         let new = staged.new_factors().map(|f| f as u32);
         let dropped = staged.dropped_factors().iter().copied();
-        let moved = moved.iter().flat_map(|&v| graph.factors_at(v as usize).iter().copied());
+        let moved = moved.flat_map(|v| graph.factors_at(v as usize).iter().copied());
         for factor in new.chain(dropped).chain(moved) {
             self.touch_factor(graph, tree, factor, Mark::Detached);
         }
         for &variable in staged.dropped_variables() {
             self.touch_separators(tree, variable);
         }
+    }
+
+    /// Marks what changes in place when a variable is relinearized.
+    pub(crate) fn touch_variable(&mut self, graph: &Graph, tree: &Tree, variable: u32) {
+        for &factor in graph.factors_at(variable as usize) {
+            self.touch_factor(graph, tree, factor, Mark::InPlace);
+        }
+    }
+
+    /// What it costs to eliminate all that is marked, in units of about a nanosecond.
+    pub(crate) fn cost(&self) -> f64 {
+        self.marks.cost
+    }
+
+    /// Gathers what is marked, and what a staged change adds and drops.
+    pub(crate) fn gather_change(&mut self, graph: &Graph, tree: &Tree, staged: &Staged) {
         self.gather(graph, tree);
         if !staged.dropped_variables().is_empty() {
             self.variables.retain(|v| staged.dropped_variables().binary_search(v).is_err());
@@ -93,25 +109,11 @@ impl Planner {
         self.gather(graph, tree);
     }
 
-    /// What `factors`, linearized again, change in place.
-    pub(crate) fn gather_in_place(&mut self, graph: &Graph, tree: &Tree, factors: &[u32]) {
-        self.start(tree);
-        for &factor in factors {
-            self.touch_factor(graph, tree, factor, Mark::InPlace);
-        }
-        self.gather(graph, tree);
-    }
-
     /// Everything, in place.
     pub(crate) fn gather_all_in_place(&mut self, graph: &Graph, tree: &Tree) {
         self.start(tree);
         self.marks.touch_all(tree, Mark::InPlace);
         self.gather(graph, tree);
-    }
-
-    /// How many cliques are taken out or eliminated again.
-    pub(crate) fn marked(&self) -> usize {
-        self.marks.count
     }
 
     fn start(&mut self, tree: &Tree) {
