@@ -40,8 +40,12 @@ impl MinimumDegree {
             }
         }
         buckets.start(n);
-        for v in (0..n as u32).rev().filter(|&v| Some(v) != last) {
-            buckets.insert(v, count(&rows[v as usize * words..][..words]));
+        let fifo = buckets.fifo;
+        for v in 0..n as u32 {
+            let v = if fifo { v } else { n as u32 - 1 - v };
+            if Some(v) != last {
+                buckets.insert(v, count(&rows[v as usize * words..][..words]));
+            }
         }
         elimination.start(n);
         while let Some(v) = buckets.pop_smallest() {
@@ -88,6 +92,8 @@ fn bits(row: &[u64]) -> impl Iterator<Item = u32> {
 /// Variables in doubly linked lists by degree; insertion and removal at the head.
 #[derive(Debug, Default)]
 struct Buckets {
+    fifo: bool,
+    tail: Vec<u32>,
     head: Vec<u32>,
     next: Vec<u32>,
     previous: Vec<u32>,
@@ -100,6 +106,9 @@ impl Buckets {
     fn start(&mut self, n: usize) {
         self.head.clear();
         self.head.resize(n + 1, NONE);
+        self.tail.clear();
+        self.tail.resize(n + 1, NONE);
+        self.fifo = std::env::var("EG_FIFO").is_ok();
         for list in [&mut self.next, &mut self.previous, &mut self.degree] {
             list.resize(n, NONE);
         }
@@ -107,26 +116,27 @@ impl Buckets {
     }
 
     fn insert(&mut self, v: u32, degree: u32) {
-        let head = std::mem::replace(&mut self.head[degree as usize], v);
-        self.next[v as usize] = head;
-        self.previous[v as usize] = NONE;
-        if head != NONE {
-            self.previous[head as usize] = v;
+        let d = degree as usize;
+        if self.fifo {
+            let tail = std::mem::replace(&mut self.tail[d], v);
+            self.previous[v as usize] = tail;
+            self.next[v as usize] = NONE;
+            if tail != NONE { self.next[tail as usize] = v; } else { self.head[d] = v; }
+        } else {
+            let head = std::mem::replace(&mut self.head[d], v);
+            self.next[v as usize] = head;
+            self.previous[v as usize] = NONE;
+            if head != NONE { self.previous[head as usize] = v; } else { self.tail[d] = v; }
         }
         self.degree[v as usize] = degree;
-        self.smallest = self.smallest.min(degree as usize);
+        self.smallest = self.smallest.min(d);
     }
 
     fn remove(&mut self, v: u32) {
+        let d = self.degree[v as usize] as usize;
         let (next, previous) = (self.next[v as usize], self.previous[v as usize]);
-        if next != NONE {
-            self.previous[next as usize] = previous;
-        }
-        if previous == NONE {
-            self.head[self.degree[v as usize] as usize] = next;
-        } else {
-            self.next[previous as usize] = next;
-        }
+        if next != NONE { self.previous[next as usize] = previous; } else { self.tail[d] = previous; }
+        if previous != NONE { self.next[previous as usize] = next; } else { self.head[d] = next; }
     }
 
     fn move_to(&mut self, v: u32, degree: u32) {
