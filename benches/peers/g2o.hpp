@@ -55,7 +55,7 @@ inline PoseGraph read(const std::string& path) {
   std::string line, tag;
   while (std::getline(file, line)) {
     std::istringstream words(line);
-    if (!(words >> tag)) continue;
+    if (!(words >> tag) || tag[0] == '#') continue;
     const bool is_3d = tag.find("SE3:QUAT") != std::string::npos;
     const size_t length = is_3d ? 7 : 3;
     if (tag == "VERTEX_SE2" || tag == "VERTEX_SE3:QUAT") {

@@ -44,6 +44,7 @@ pub fn read(path: &str) -> PoseGraph {
             "EDGE_SE2" => (3, 2),
             "VERTEX_SE3:QUAT" => (7, 1),
             "EDGE_SE3:QUAT" => (7, 2),
+            _ if tag.starts_with('#') => continue,
             _ => panic!("{path}: {tag} lines are not for this program"),
         };
         let id: Vec<usize> =
