@@ -141,7 +141,7 @@ def main():
     evergraph = harness.Evergraph(arguments.evergraph)
     listed = peers()
 
-    table.line(harness.circumstances())
+    table.line(harness.circumstances(evergraph))
     table.line(f"Medians of {arguments.repeats} runs (least..most), alternating, each pinned to one core.")
     table.line("")
     table.header("data set", "program", f"to {WITHIN:g}, ms", "beside Evergraph", "iterations", "ms each", "error")

@@ -97,7 +97,7 @@ def main():
     evergraph = harness.Evergraph(arguments.evergraph)
     gtsam = harness.gtsam_version()
 
-    table.line(harness.circumstances(f"GTSAM {gtsam}" if gtsam else "GTSAM not installed"))
+    table.line(harness.circumstances(evergraph, f"GTSAM {gtsam}" if gtsam else "GTSAM not installed"))
     table.line(f"Medians of {arguments.repeats} runs (least..most), alternating, each pinned to one core.")
     table.line("")
     table.header(

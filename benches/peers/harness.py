@@ -32,7 +32,13 @@ class Evergraph:
     """The program; built from this clone unless another is named."""
 
     def __init__(self, program=None):
+        #: For the record.
+        self.version = "built elsewhere"
         if program is None:
+            sources = ("--", "crates", "Cargo.toml", "Cargo.lock")
+            self.version = output("git", "log", "-1", "--format=%h", *sources)
+            if output("git", "status", "--porcelain", *sources):
+                self.version += " with changes"
             subprocess.run(["cargo", "build", "--release", "--locked"], cwd=ROOT, check=True)
             target = os.environ.get("CARGO_TARGET_DIR", os.path.join(ROOT, "target"))
             program = os.path.join(ROOT, target, "release", "evergraph")
@@ -85,12 +91,13 @@ def gtsam_version():
     return found
 
 
-def circumstances(*programs):
-    """One line: day, machine and versions."""
+def circumstances(evergraph, *programs):
+    """One line: day, machine, what else it was doing, versions."""
     versions = [output("rustc", "--version").split(" (")[0], *programs, f"Python {platform.python_version()}"]
-    commit = output("git", "describe", "--always", "--dirty", "--exclude", "*")
     machine = f"{processor()}, {os.cpu_count()} cores, {platform.system()} {platform.release()}"
-    return f"{datetime.date.today()}; {machine}; {', '.join(filter(None, versions))}; Evergraph at {commit}."
+    # A table that was made beside other work should say so.
+    load = f"load {os.getloadavg()[0]:.1f} before"
+    return f"{datetime.date.today()}; {machine}, {load}; {', '.join(versions)}; Evergraph {evergraph.version}."
 
 
 def output(*command):
