@@ -73,6 +73,7 @@ inline PoseGraph read(const std::string& path) {
     }
     if (!words) throw std::runtime_error(path + ": too short: " + line);
   }
+  if (vertices.empty()) throw std::runtime_error(path + ": no vertices to start from");
   PoseGraph graph;
   std::map<int, int> number;
   for (const auto& [id, pose] : vertices) {

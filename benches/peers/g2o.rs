@@ -29,11 +29,14 @@ impl PoseGraph {
     }
 }
 
+/// Ends the program with a message if there is no such file, or none with vertices and edges alone.
+///
 /// # Panics
 ///
-/// If there is no such file, or a line is not as expected.
+/// If a line is not as expected.
 pub fn read(path: &str) -> PoseGraph {
-    let text = std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{path}: {error}"));
+    let text =
+        std::fs::read_to_string(path).unwrap_or_else(|error| end(&format!("{path}: {error}")));
     let mut poses = std::collections::BTreeMap::new();
     let mut edges = Vec::new();
     for line in text.lines() {
@@ -45,7 +48,7 @@ pub fn read(path: &str) -> PoseGraph {
             "VERTEX_SE3:QUAT" => (7, 1),
             "EDGE_SE3:QUAT" => (7, 2),
             _ if tag.starts_with('#') => continue,
-            _ => panic!("{path}: {tag} lines are not for this program"),
+            _ => end(&format!("{path}: {tag} lines are not for this program")),
         };
         let id: Vec<usize> =
             words.by_ref().take(ids).map(|word| word.parse().expect(line)).collect();
@@ -61,12 +64,20 @@ pub fn read(path: &str) -> PoseGraph {
             edges.push(Edge { from: id[0], to: id[1], measurement: pose, information });
         }
     }
+    if poses.is_empty() {
+        end(&format!("{path}: no vertices to start from"));
+    }
     let number: std::collections::HashMap<usize, usize> =
         poses.keys().enumerate().map(|(number, &id)| (id, number)).collect();
     for edge in &mut edges {
         (edge.from, edge.to) = (number[&edge.from], number[&edge.to]);
     }
     PoseGraph { poses: poses.into_values().collect(), edges }
+}
+
+fn end(message: &str) -> ! {
+    eprintln!("{message}");
+    std::process::exit(1)
 }
 
 fn symmetric(upper: &[f64], n: usize) -> DMatrix<f64> {

@@ -31,6 +31,8 @@ def main():
         sys.exit("usage: python gtsam_batch.py FILE.g2o gn|lm")
     path, method = sys.argv[1:]
     data = PoseGraph(path)
+    if not data.start:
+        sys.exit(f"{path}: no vertices to start from")
     graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.add(data.prior(data.start[0]))
     for n, pose in enumerate(data.start):

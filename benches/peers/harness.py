@@ -64,7 +64,7 @@ def data_files(names):
     """Those of the names that are below $EVERGRAPH_DATA, in that order."""
     folder = os.environ.get("EVERGRAPH_DATA")
     if not folder:
-        sys.exit("EVERGRAPH_DATA does not say where the data sets are (see README.md); name FILEs instead, as data/*.g2o")
+        sys.exit("EVERGRAPH_DATA does not say where the data sets are (see README.md); or name FILEs, as data/*.g2o")
     found = {}
     for parent, _, files in os.walk(folder):
         for name in set(files) & set(names):

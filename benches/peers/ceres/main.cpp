@@ -125,17 +125,8 @@ void build(g2o::PoseGraph& graph, bool logarithm, ceres::Problem& problem) {
   }
 }
 
-}  // namespace
-
-int main(int count, char** arguments) {
-  google::InitGoogleLogging(arguments[0]);
-  const std::string residual = count == 4 ? arguments[2] : "";
-  const std::string method = count == 4 ? arguments[3] : "";
-  if ((residual != "log" && residual != "example") || (method != "lm" && method != "gn")) {
-    std::fprintf(stderr, "usage: peer-ceres FILE.g2o log|example lm|gn\n");
-    return 2;
-  }
-  g2o::PoseGraph graph = g2o::read(arguments[1]);
+void run(const std::string& path, const std::string& residual, const std::string& method) {
+  g2o::PoseGraph graph = g2o::read(path);
   ceres::Problem problem;
   build(graph, residual == "log", problem);
 
@@ -152,12 +143,31 @@ int main(int count, char** arguments) {
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);
 
-  std::printf("{\"peer\": \"Ceres\", \"version\": \"%s\", \"residual\": \"%s\", \"method\": \"%s\", \"status\": \"%s\", \"trace\": [",
-              CERES_VERSION_STRING, residual.c_str(), method.c_str(), ceres::TerminationTypeToString(summary.termination_type));
+  const char* status = ceres::TerminationTypeToString(summary.termination_type);
+  std::printf("{\"peer\": \"Ceres\", \"version\": \"%s\", \"residual\": \"%s\", ", CERES_VERSION_STRING, residual.c_str());
+  std::printf("\"method\": \"%s\", \"status\": \"%s\", \"trace\": [", method.c_str(), status);
   const char* separator = "";
   for (const ceres::IterationSummary& iteration : summary.iterations) {
     std::printf("%s[%.9f, %.17g]", separator, iteration.cumulative_time_in_seconds, iteration.cost);
     separator = ", ";
   }
   std::printf("]}\n");
+}
+
+}  // namespace
+
+int main(int count, char** arguments) {
+  google::InitGoogleLogging(arguments[0]);
+  const std::string residual = count == 4 ? arguments[2] : "";
+  const std::string method = count == 4 ? arguments[3] : "";
+  if ((residual != "log" && residual != "example") || (method != "lm" && method != "gn")) {
+    std::fprintf(stderr, "usage: peer-ceres FILE.g2o log|example lm|gn\n");
+    return 2;
+  }
+  try {
+    run(arguments[1], residual, method);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "%s\n", error.what());
+    return 1;
+  }
 }
