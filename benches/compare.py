@@ -36,9 +36,11 @@ def replay_evergraph(evergraph, path, full_estimate, output):
 
 def replay_gtsam(path, full_estimate, output):
     script = os.path.join(harness.PEERS, "gtsam_replay.py")
-    return json.loads(
-        harness.pinned([sys.executable, script, path, "--output", output, *["--full-estimate"] * full_estimate])
-    )
+    command = [sys.executable, script, path, "--output", output, *["--full-estimate"] * full_estimate]
+    try:
+        return json.loads(harness.pinned(command))
+    except subprocess.CalledProcessError:
+        return {"failed": "reading"}
 
 
 def error_at(evergraph, graph, vertices):

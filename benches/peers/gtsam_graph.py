@@ -24,8 +24,10 @@ class PoseGraph:
                 continue
             if fields[0] in ("VERTEX_SE2", "VERTEX_SE3:QUAT"):
                 vertices[int(fields[1])] = pose([float(field) for field in fields[2:]])
+            elif fields[0] in ("EDGE_SE2", "EDGE_SE3:QUAT", "ODOMETRY", "EDGE2", "EDGE3"):
+                edges.append(edge(fields))
             else:
-                edges.append(edge(path, fields))
+                sys.exit(f"{path}: {fields[0]} lines are not for this script")
         #: The file's id of each pose.
         self.ids = sorted({i for e in edges for i in e[:2]})
         number = {pose: n for n, pose in enumerate(self.ids)}
@@ -54,17 +56,15 @@ class PoseGraph:
                     print("VERTEX_SE3:QUAT", i, *map(float, x.translation()), *rotation, file=file)
 
 
-def edge(path, fields):
+def edge(fields):
     tag, i, j = fields[0], int(fields[1]), int(fields[2])
     x = [float(field) for field in fields[3:]]
     if tag in ("EDGE_SE2", "ODOMETRY", "EDGE2"):
         return i, j, pose(x[:3]), noise(tag, tuple(x[3:9]))
     if tag == "EDGE_SE3:QUAT":
         return i, j, pose(x[:7]), noise(tag, tuple(x[7:28]))
-    if tag == "EDGE3":
-        z = gtsam.Pose3(gtsam.Rot3.RzRyRx(*x[3:6]), np.array(x[:3]))
-        return i, j, z, noise(tag, tuple(x[6:27]))
-    sys.exit(f"{path}: {tag} lines are not for this script")
+    z = gtsam.Pose3(gtsam.Rot3.RzRyRx(*x[3:6]), np.array(x[:3]))
+    return i, j, z, noise(tag, tuple(x[6:27]))
 
 
 @functools.cache
