@@ -1,11 +1,11 @@
 //! Roll and pitch of a pose in space, from a direction or as angles.
 
 use evergraph_model::{
-    Arguments, Factor, Key, Linearization, Noise, Pose3, VariableId,
-    geometry::{skew, wrap_angle},
+    Arguments, Factor, Key, Linearization, Noise, Pose3, VariableId, geometry::wrap_angle,
 };
-use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3x2, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3x2, Vector2, Vector3};
 
+use crate::cross::times_skew;
 use crate::error::{FactorError, finite, fixed, fixed_shape};
 use crate::sphere::{Sphere, unit};
 
@@ -97,10 +97,8 @@ impl Factor for Attitude {
     fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
         let u = self.predicted(at);
         let (error, by_direction) = self.measurement.log(&u);
-        let mut jacobian = Matrix2x6::zeros();
-        let rotation = self.sqrt_information * by_direction * skew(&u);
-        jacobian.fixed_view_mut::<2, 3>(0, 3).copy_from(&rotation);
-        out.set_block(0, &jacobian);
+        let by_rotation = times_skew(&(self.sqrt_information * by_direction), &u);
+        out.block_mut(0)[6..].copy_from_slice(by_rotation.as_slice());
         out.set_residual(&(self.sqrt_information * error));
     }
 }
@@ -173,10 +171,8 @@ impl Factor for RollPitch {
         let h2 = u.y * u.y + u.z * u.z;
         if h2.is_normal() {
             let by_direction = Matrix2x3::new(0.0, u.z / h2, -u.y / h2, -1.0 / h2.sqrt(), 0.0, 0.0);
-            let mut jacobian = Matrix2x6::zeros();
-            let rotation = self.sqrt_information * by_direction * skew(&u);
-            jacobian.fixed_view_mut::<2, 3>(0, 3).copy_from(&rotation);
-            out.set_block(0, &jacobian);
+            let by_rotation = times_skew(&(self.sqrt_information * by_direction), &u);
+            out.block_mut(0)[6..].copy_from_slice(by_rotation.as_slice());
         }
         self.residual(at, out.residual_mut());
     }

@@ -63,6 +63,7 @@ impl<B: Positioned<2>> Bearing2<B> {
         Ok(Self { keys, measurement: bearing, noise, sqrt_information, kind: PhantomData })
     }
 
+    #[inline]
     fn error(&self, sight: &Sight) -> Vector1<f64> {
         Vector1::new(wrap_angle(sight.bearing() - self.measurement))
     }
@@ -88,6 +89,7 @@ impl<B: Positioned<2>> BearingRange2<B> {
         Ok(Self { keys, bearing, range, noise, sqrt_information, kind: PhantomData })
     }
 
+    #[inline]
     fn error(&self, sight: &Sight) -> Vector2<f64> {
         Vector2::new(wrap_angle(sight.bearing() - self.bearing), sight.range - self.range)
     }
@@ -189,23 +191,27 @@ struct Sight {
 }
 
 impl Sight {
+    #[inline]
     fn new<B: Positioned<2>>(pose: &Pose2, target: &B) -> Self {
         let place = pose.rotation().inverse_rotate(&(target.position() - pose.position()));
         let (range, direction) = polar(&place);
         Self { place, range, direction }
     }
 
+    #[inline]
     fn bearing(&self) -> f64 {
         self.direction.map_or(0.0, |direction| direction.y.atan2(direction.x))
     }
 
     /// Of bearing and range by `q`.
+    #[inline]
     fn derivatives(&self) -> Option<(RowVector2<f64>, RowVector2<f64>)> {
         let u = self.direction?;
         Some((RowVector2::new(-u.y, u.x) / self.range, u.transpose()))
     }
 
     /// Both blocks, from the whitened derivative by `q`.
+    #[inline]
     fn set_blocks<B: Positioned<2>, const R: usize>(
         &self,
         pose: &Pose2,

@@ -2,11 +2,10 @@
 
 use std::marker::PhantomData;
 
-use evergraph_model::{
-    Arguments, Factor, Key, Linearization, Noise, Pose3, VariableId, geometry::skew,
-};
+use evergraph_model::{Arguments, Factor, Key, Linearization, Noise, Pose3, VariableId};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, SMatrix, Vector2, Vector3};
 
+use crate::cross::times_skew;
 use crate::error::{FactorError, distance, fixed, fixed_shape};
 use crate::positioned::{Positioned, polar};
 use crate::sphere::Sphere;
@@ -92,6 +91,7 @@ impl<B: Positioned<3>> BearingRange3<B> {
         Ok(Self { keys, direction, range, noise, sqrt_information, kind: PhantomData })
     }
 
+    #[inline]
     fn error(&self, sight: &Sight, bearing: Vector2<f64>) -> Vector3<f64> {
         bearing.push(sight.range - self.range)
     }
@@ -192,9 +192,12 @@ impl<B: Positioned<3>> Factor for BearingRange3<B> {
         let sight = Sight::new(&pose, &target);
         let (bearing, by_direction) = self.direction.log(&sight.direction());
         if let Some((direction_by_place, range_by_place)) = sight.derivatives() {
-            let mut by_place = Matrix3::zeros();
-            by_place.fixed_rows_mut::<2>(0).copy_from(&(by_direction * direction_by_place));
-            by_place.set_row(2, &range_by_place);
+            let by_place = by_direction * direction_by_place;
+            let by_place = Matrix3::from_rows(&[
+                by_place.row(0).into_owned(),
+                by_place.row(1).into_owned(),
+                range_by_place,
+            ]);
             sight.set_blocks(&pose, &target, &(self.sqrt_information * by_place), out);
         }
         out.set_residual(&(self.sqrt_information * self.error(&sight, bearing)));
@@ -211,17 +214,20 @@ struct Sight {
 }
 
 impl Sight {
+    #[inline]
     fn new<B: Positioned<3>>(pose: &Pose3, target: &B) -> Self {
         let place = pose.rotation().inverse_rotate(&(target.position() - pose.position()));
         let (range, direction) = polar(&place);
         Self { place, range, direction }
     }
 
+    #[inline]
     fn direction(&self) -> Vector3<f64> {
         self.direction.unwrap_or_else(Vector3::x)
     }
 
     /// Of direction and range by `q`.
+    #[inline]
     fn derivatives(&self) -> Option<(Matrix3<f64>, nalgebra::RowVector3<f64>)> {
         let u = self.direction?;
         let along = u.transpose();
@@ -229,6 +235,7 @@ impl Sight {
     }
 
     /// Both blocks, from the whitened derivative by `q`.
+    #[inline]
     fn set_blocks<B: Positioned<3>, const R: usize>(
         &self,
         pose: &Pose3,
@@ -236,10 +243,9 @@ impl Sight {
         by_place: &SMatrix<f64, R, 3>,
         out: &mut Linearization<'_>,
     ) {
-        let mut by_pose = SMatrix::<f64, R, 6>::zeros();
-        by_pose.fixed_columns_mut::<3>(0).copy_from(&-by_place);
-        by_pose.fixed_columns_mut::<3>(3).copy_from(&(by_place * skew(&self.place)));
-        out.set_block(0, &by_pose);
+        let (position, rotation) = out.block_mut(0).split_at_mut(3 * R);
+        position.copy_from_slice((-by_place).as_slice());
+        rotation.copy_from_slice(times_skew(by_place, &self.place).as_slice());
         target.chain(&(by_place * pose.rotation().matrix().transpose()), out.block_mut(1));
     }
 }

@@ -6,9 +6,10 @@ use evergraph_model::{
     Arguments, Factor, Key, LieGroup, Linearization, Noise, Point2, Point3, Pose2, Pose3, Rot2,
     Rot3, VariableId, VariableType,
 };
-use nalgebra::{SMatrix, SVector};
 
-use crate::error::{FactorError, finite_value, fixed};
+use crate::error::{FactorError, finite_value};
+use crate::relative::Relative;
+use crate::whitening::Whitening;
 
 /// A measured relative transform: `r = R Log(z⁻¹ (xᵢ⁻¹ xⱼ))`.
 ///
@@ -23,8 +24,7 @@ use crate::error::{FactorError, finite_value, fixed};
 pub struct Between<G, const N: usize> {
     keys: [VariableId; 2],
     measurement: G,
-    noise: Noise,
-    sqrt_information: SMatrix<f64, N, N>,
+    noise: Whitening<N>,
 }
 
 /// [`Between`] two poses in the plane; tangent `(x, y, theta)`.
@@ -52,16 +52,8 @@ impl<G: LieGroup<N>, const N: usize> Between<G, N> {
         noise: Noise,
     ) -> Result<Self, FactorError> {
         finite_value("Between", "measurement", &measurement)?;
-        let sqrt_information = fixed("Between", &noise)?;
-        Ok(Self { keys: [from.id(), to.id()], measurement, noise, sqrt_information })
-    }
-
-    /// The relative transform and the unwhitened residual.
-    #[inline]
-    fn evaluate(&self, at: &Arguments<'_>) -> (G, SVector<f64, N>) {
-        let relative = at.get::<G>(0).between(&at.get::<G>(1));
-        let error = self.measurement.between(&relative).log();
-        (relative, error)
+        let noise = Whitening::new("Between", noise)?;
+        Ok(Self { keys: [from.id(), to.id()], measurement, noise })
     }
 }
 
@@ -83,7 +75,7 @@ impl<G, const N: usize> Between<G, N> {
 
     /// The noise.
     pub fn noise(&self) -> &Noise {
-        &self.noise
+        self.noise.noise()
     }
 }
 
@@ -106,18 +98,22 @@ impl<G: LieGroup<N>, const N: usize> Factor for Between<G, N> {
 
     #[inline]
     fn residual(&self, at: &Arguments<'_>, out: &mut [f64]) {
-        let (_, error) = self.evaluate(at);
-        out.copy_from_slice((self.sqrt_information * error).as_slice());
+        let relative = Relative::new(&self.measurement, at);
+        out.copy_from_slice(relative.error.as_slice());
+        self.noise.whiten_columns(out);
     }
 
     #[inline]
     fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
-        let (relative, error) = self.evaluate(at);
-        let to = self.sqrt_information * G::right_jacobian_inverse(&error);
-        let from = -(to * relative.inverse().adjoint());
-        out.set_block(0, &from);
-        out.set_block(1, &to);
-        out.set_residual(&(self.sqrt_information * error));
+        let relative = Relative::new(&self.measurement, at);
+        // Both blocks and the residual stand side by side in one matrix, whose size the compiler
+        // is told here.
+        let columns = &mut out.data_mut()[..N * (2 * N + 1)];
+        let (blocks, residual) = columns.split_at_mut(2 * N * N);
+        let (from, to) = blocks.split_at_mut(N * N);
+        relative.jacobians(from, to);
+        residual.copy_from_slice(relative.error.as_slice());
+        self.noise.whiten_columns(columns);
     }
 
     fn as_any(&self) -> &dyn Any {

@@ -2,10 +2,10 @@
 
 use evergraph_model::{
     Arguments, Factor, Key, Linearization, Noise, Point2, Point3, Pose2, Pose3, VariableId,
-    geometry::skew,
 };
-use nalgebra::{Matrix2, Matrix2x3, Matrix3, Matrix3x6};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3};
 
+use crate::cross::times_skew;
 use crate::error::{FactorError, finite_value, fixed, fixed_shape};
 
 macro_rules! gps_interface {
@@ -126,12 +126,9 @@ impl Factor for GpsPosition3 {
 
     fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
         let turned = self.sqrt_information * at.get::<Pose3>(0).rotation().matrix();
-        let mut jacobian = Matrix3x6::zeros();
-        jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&turned);
-        jacobian
-            .fixed_view_mut::<3, 3>(0, 3)
-            .copy_from(&-(turned * skew(&self.lever_arm.vector())));
-        out.set_block(0, &jacobian);
+        let (position, rotation) = out.block_mut(0).split_at_mut(9);
+        position.copy_from_slice(turned.as_slice());
+        rotation.copy_from_slice((-times_skew(&turned, &self.lever_arm.vector())).as_slice());
         self.residual(at, out.residual_mut());
     }
 }

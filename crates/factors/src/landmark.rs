@@ -2,10 +2,11 @@
 
 use evergraph_model::{
     Arguments, Factor, Key, LieGroup, Linearization, Noise, Point2, Point3, Pose2, Pose3,
-    VariableId, geometry::skew,
+    VariableId,
 };
-use nalgebra::{Matrix2, Matrix2x3, Matrix3, Matrix3x6, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
+use crate::cross::times_skew;
 use crate::error::{FactorError, finite_value, fixed, fixed_shape};
 
 /// A point in the plane seen from a pose: `r = R (T⁻¹ p - z)`.
@@ -200,10 +201,9 @@ impl Factor for RelativePosition3 {
         let world_from_robot: Pose3 = at.get(0);
         let (q, error) = self.evaluate(&world_from_robot, at);
         let turned = self.sqrt_information * self.robot_from_sensor.rotation().matrix().transpose();
-        let mut pose = Matrix3x6::zeros();
-        pose.fixed_view_mut::<3, 3>(0, 0).copy_from(&-turned);
-        pose.fixed_view_mut::<3, 3>(0, 3).copy_from(&(turned * skew(&q)));
-        out.set_block(0, &pose);
+        let (position, rotation) = out.block_mut(0).split_at_mut(9);
+        position.copy_from_slice((-turned).as_slice());
+        rotation.copy_from_slice(times_skew(&turned, &q).as_slice());
         out.set_block(1, &(turned * world_from_robot.rotation().matrix().transpose()));
         out.set_residual(&(self.sqrt_information * error));
     }

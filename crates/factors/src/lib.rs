@@ -68,6 +68,7 @@ pub mod autodiff;
 mod bearing2;
 mod bearing3;
 mod between;
+mod cross;
 mod differences;
 mod error;
 mod geodetic;
@@ -80,8 +81,10 @@ mod planar_motion;
 mod positioned;
 mod prior;
 mod range;
+mod relative;
 mod root_shift;
 mod sphere;
+mod whitening;
 
 pub use attitude::{Attitude, RollPitch};
 pub use autodiff::AutoDiff;

@@ -6,9 +6,10 @@ use std::any::Any;
 use evergraph_model::{
     Arguments, Factor, Key, LieGroup, Linearization, Noise, Pose2, Pose3, VariableId, VariableType,
 };
-use nalgebra::{DMatrix, DMatrixViewMut, SMatrix, SVector};
+use nalgebra::{DMatrix, SMatrix};
 
 use crate::error::{FactorError, finite, finite_value};
+use crate::relative::Relative;
 
 const NAME: &str = "PartialBetween";
 
@@ -24,8 +25,8 @@ pub struct PartialBetween<G, const N: usize> {
     measurement: G,
     combinations: DMatrix<f64>,
     noise: Noise,
-    /// `R A`.
-    whitened: DMatrix<f64>,
+    /// The rows of `R A`.
+    whitened: Vec<[f64; N]>,
 }
 
 /// [`PartialBetween`] poses in the plane; components 0 x, 1 y, 2 theta.
@@ -85,25 +86,21 @@ impl<G: LieGroup<N>, const N: usize> PartialBetween<G, N> {
             let actual = noise.dim();
             return Err(FactorError::NoiseDimension { factor: NAME, expected: rows, actual });
         }
-        let whitened = noise.sqrt_information() * &combinations;
+        let whitened = (noise.sqrt_information() * &combinations)
+            .row_iter()
+            .map(|row| std::array::from_fn(|column| row[column]))
+            .collect();
         Ok(Self { keys: [from.id(), to.id()], measurement, combinations, noise, whitened })
     }
 
-    #[inline]
-    fn evaluate(&self, at: &Arguments<'_>) -> (G, SVector<f64, N>) {
-        let relative = at.get::<G>(0).between(&at.get::<G>(1));
-        let error = self.measurement.between(&relative).log();
-        (relative, error)
-    }
-
-    /// Writes `R A` times `full`, which has a column per column of `out`.
-    fn combine<const C: usize>(&self, full: &SMatrix<f64, N, C>, out: &mut [f64]) {
-        DMatrixViewMut::from_slice(out, self.whitened.nrows(), C).gemm(
-            1.0,
-            &self.whitened,
-            full,
-            0.0,
-        );
+    /// Writes `R A` times `full`, column by column.
+    fn combine(&self, full: &[f64], out: &mut [f64]) {
+        let (columns, _) = full.as_chunks::<N>();
+        for (column, out) in columns.iter().zip(out.chunks_exact_mut(self.whitened.len())) {
+            for (row, out) in self.whitened.iter().zip(out) {
+                *out = row.iter().zip(column).map(|(weight, entry)| weight * entry).sum();
+            }
+        }
     }
 }
 
@@ -152,17 +149,17 @@ impl<G: LieGroup<N>, const N: usize> Factor for PartialBetween<G, N> {
     }
 
     fn residual(&self, at: &Arguments<'_>, out: &mut [f64]) {
-        let (_, error) = self.evaluate(at);
-        self.combine(&error, out);
+        let relative = Relative::new(&self.measurement, at);
+        self.combine(relative.error.as_slice(), out);
     }
 
     fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
-        let (relative, error) = self.evaluate(at);
-        let to = G::right_jacobian_inverse(&error);
-        let from = -(to * relative.inverse().adjoint());
-        self.combine(&from, out.block_mut(0));
-        self.combine(&to, out.block_mut(1));
-        self.combine(&error, out.residual_mut());
+        let relative = Relative::new(&self.measurement, at);
+        let (mut from, mut to) = (SMatrix::<f64, N, N>::zeros(), SMatrix::<f64, N, N>::zeros());
+        relative.jacobians(from.as_mut_slice(), to.as_mut_slice());
+        self.combine(from.as_slice(), out.block_mut(0));
+        self.combine(to.as_slice(), out.block_mut(1));
+        self.combine(relative.error.as_slice(), out.residual_mut());
     }
 
     fn as_any(&self) -> &dyn Any {

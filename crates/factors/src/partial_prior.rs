@@ -125,19 +125,21 @@ impl Factor for Heading3 {
     }
 
     fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
-        let (_, jacobian) = heading(&at.get(0));
+        let (heading, jacobian) = heading(&at.get(0));
         out.set_block(0, &(self.sqrt_information * jacobian));
-        self.residual(at, out.residual_mut());
+        out.residual_mut()[0] = self.sqrt_information * wrap_angle(heading - self.measurement);
     }
 }
 
 /// The derivative of the height of a pose.
+#[inline]
 pub(crate) fn height_jacobian(pose: &Pose3) -> SMatrix<f64, 1, 6> {
     let c = pose.rotation().matrix();
     SMatrix::<f64, 1, 6>::new(c[(2, 0)], c[(2, 1)], c[(2, 2)], 0.0, 0.0, 0.0)
 }
 
 /// The heading of a pose in space, as in [`Heading3`], and its derivative.
+#[inline]
 pub(crate) fn heading(pose: &Pose3) -> (f64, SMatrix<f64, 1, 6>) {
     let c = pose.rotation().matrix();
     let heading = c[(1, 0)].atan2(c[(0, 0)]);

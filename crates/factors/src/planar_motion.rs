@@ -1,10 +1,9 @@
 //! A robot that moves on a floor.
 
-use evergraph_model::{
-    Arguments, Factor, Key, Linearization, Noise, Pose3, VariableId, geometry::skew,
-};
-use nalgebra::{Matrix3, SMatrix, Vector3};
+use evergraph_model::{Arguments, Factor, Key, Linearization, Noise, Pose3, VariableId};
+use nalgebra::{Matrix3, SMatrix, Vector2, Vector3};
 
+use crate::cross::times_skew;
 use crate::error::{FactorError, finite, fixed, fixed_shape};
 use crate::partial_prior::height_jacobian;
 use crate::sphere::Sphere;
@@ -42,6 +41,10 @@ impl PlanarMotion {
         Ok(Self { keys: [key.id()], height, up, noise, sqrt_information })
     }
 
+    fn error(&self, pose: &Pose3, tilt: Vector2<f64>) -> Vector3<f64> {
+        Vector3::new(pose.z() - self.height, tilt.x, tilt.y)
+    }
+
     /// The pose.
     pub fn key(&self) -> VariableId {
         self.keys[0]
@@ -64,18 +67,17 @@ impl Factor for PlanarMotion {
     fn residual(&self, at: &Arguments<'_>, out: &mut [f64]) {
         let pose: Pose3 = at.get(0);
         let (tilt, _) = self.up.log(&pose.rotation().inverse_rotate(&Vector3::z()));
-        let error = Vector3::new(pose.z() - self.height, tilt.x, tilt.y);
-        out.copy_from_slice((self.sqrt_information * error).as_slice());
+        out.copy_from_slice((self.sqrt_information * self.error(&pose, tilt)).as_slice());
     }
 
     fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
         let pose: Pose3 = at.get(0);
         let u = pose.rotation().inverse_rotate(&Vector3::z());
-        let (_, by_direction) = self.up.log(&u);
+        let (tilt, by_direction) = self.up.log(&u);
         let mut jacobian = SMatrix::<f64, 3, 6>::zeros();
         jacobian.set_row(0, &height_jacobian(&pose));
-        jacobian.fixed_view_mut::<2, 3>(1, 3).copy_from(&(by_direction * skew(&u)));
+        jacobian.fixed_view_mut::<2, 3>(1, 3).copy_from(&times_skew(&by_direction, &u));
         out.set_block(0, &(self.sqrt_information * jacobian));
-        self.residual(at, out.residual_mut());
+        out.set_residual(&(self.sqrt_information * self.error(&pose, tilt)));
     }
 }

@@ -50,9 +50,14 @@ positioned!(Pose3, Point3, 3);
 
 /// Length and direction of `v`; no direction where it has no length.
 ///
-/// Scaled by the largest component first, so that no square leaves the range of `f64`.
+/// Scaled by the largest component first where a square would leave the range of `f64`.
 #[inline]
 pub(crate) fn polar<const D: usize>(v: &SVector<f64, D>) -> (f64, Option<SVector<f64, D>>) {
+    let squared = v.norm_squared();
+    if squared.is_normal() {
+        let norm = squared.sqrt();
+        return (norm, Some(v / norm));
+    }
     // Not by the largest, which leaves out NaN.
     if v.iter().all(|x| x.abs() < f64::MIN_POSITIVE) {
         return (0.0, None);

@@ -44,6 +44,7 @@ impl<A: Positioned<D>, B: Positioned<D>, const D: usize> Range<A, B, D> {
     }
 
     /// Length and direction of the way from `a` to `b`.
+    #[inline]
     fn way(a: &A, b: &B) -> (f64, Option<SVector<f64, D>>) {
         polar(&(b.position() - a.position()))
     }

@@ -48,6 +48,7 @@ impl Sphere {
     }
 
     /// The logarithm of the unit vector `u`, and its derivative along the sphere.
+    #[inline]
     pub(crate) fn log(&self, u: &Vector3<f64>) -> (Vector2<f64>, Matrix2x3<f64>) {
         let v = self.basis.tr_mul(u);
         let (sin, cos) = (v.norm(), self.direction.dot(u));
@@ -65,6 +66,7 @@ impl Sphere {
 }
 
 /// `(t - sin t)/t³`, by its series where the difference would cancel.
+#[inline]
 fn excess(t: f64) -> f64 {
     let x = t * t;
     if x < 0.04 {

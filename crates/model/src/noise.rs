@@ -263,12 +263,40 @@ impl Noise {
     pub fn whiten_columns(&self, columns: &mut [f64]) {
         let n = self.dim();
         debug_assert_eq!(columns.len() % n, 0, "the matrix has {n} rows");
-        for column in columns.chunks_exact_mut(n) {
-            // Row i of R reads entries i.. only, so the column can be overwritten from the top.
-            for i in 0..n {
-                column[i] = (i..n).map(|j| self.sqrt_information[(i, j)] * column[j]).sum();
+        let root = self.sqrt_information.as_slice();
+        // Loops of known length for the dimensions of rotations, points and poses.
+        match n {
+            1 => whiten_fixed::<1>(root, columns),
+            2 => whiten_fixed::<2>(root, columns),
+            3 => whiten_fixed::<3>(root, columns),
+            6 => whiten_fixed::<6>(root, columns),
+            _ => columns.chunks_exact_mut(n).for_each(|column| whiten(root, column)),
+        }
+    }
+}
+
+/// `R e` in the place of each column of `N` rows.
+fn whiten_fixed<const N: usize>(root: &[f64], columns: &mut [f64]) {
+    let (root, _) = root.as_chunks::<N>();
+    for column in columns.as_chunks_mut::<N>().0 {
+        let mut whitened: [f64; N] = std::array::from_fn(|i| root[i][i] * column[i]);
+        for k in 1..N {
+            for i in 0..N {
+                if i < k {
+                    whitened[i] += root[k][i] * column[k];
+                }
             }
         }
+        *column = whitened;
+    }
+}
+
+/// `R e` in the place of `e`, of any length.
+fn whiten(root: &[f64], column: &mut [f64]) {
+    let n = column.len();
+    // Row i of R reads entries i.. only, so the column can be overwritten from the top.
+    for i in 0..n {
+        column[i] = (i..n).map(|j| root[j * n + i] * column[j]).sum();
     }
 }
 
@@ -386,4 +414,22 @@ fn upper_triangular(a: DMatrix<f64>) -> DMatrix<f64> {
         }
     }
     r
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whitening_in_place_is_the_product_with_the_root() {
+        for n in 1..9 {
+            let root =
+                DMatrix::from_fn(n, n, |i, j| if i <= j { 1.0 + (3 * i + j) as f64 } else { 0.0 });
+            let noise = Noise::from_sqrt_information(&root).unwrap();
+            let matrix = DMatrix::from_fn(n, 4, |i, j| (i as f64 - 1.5) * (j as f64 + 0.25));
+            let mut whitened = matrix.clone();
+            noise.whiten_columns(whitened.as_mut_slice());
+            assert!((&whitened - root * matrix).amax() < 1e-12, "{n} dimensions");
+        }
+    }
 }

@@ -3,7 +3,8 @@
 //! Each is a smooth even function of the angle θ and is given as a function of x = θ². The closed
 //! forms subtract nearly equal numbers when θ is small: at θ = 0.01 the derivative of the last one
 //! would keep six digits. Below θ = 1 the power series is used instead; there the closed forms
-//! still have 13 digits, so nothing jumps at the switch.
+//! still have 13 digits, so nothing jumps at the switch. The arc tangent, of which the logarithms
+//! are made, has its own.
 
 /// Below this θ² the series are used.
 const SERIES_BELOW: f64 = 1.0;
@@ -61,9 +62,37 @@ const GAMMA: [f64; TERMS] = [
 ];
 const GAMMA_PRIME: [f64; TERMS] = derivative(&GAMMA);
 
+/// (-1)ᵏ / (2k + 1), of `atan(t)/t` in t².
+const ARCTANGENT: [f64; TERMS] = {
+    let mut table = [0.0; TERMS];
+    let mut k = 0;
+    while k < TERMS {
+        table[k] = if k % 2 == 0 { 1.0 } else { -1.0 } / (2 * k + 1) as f64;
+        k += 1;
+    }
+    table
+};
+
+/// Below this squared tangent, an angle of 0.2, that series is used; the first term left out is
+/// 2e-17 there.
+const ARCTANGENT_BELOW: f64 = 0.04;
+
+/// Even and odd powers apart: in one chain every step would wait for the one before.
 #[inline]
 fn sum(series: &[f64; TERMS], x: f64) -> f64 {
-    series.iter().rev().fold(0.0, |sum, &term| sum * x + term)
+    let (mut even, mut odd) = (series[TERMS - 1], 0.0);
+    for pair in series[..TERMS - 1].as_chunks::<2>().0.iter().rev() {
+        even = even * (x * x) + pair[0];
+        odd = odd * (x * x) + pair[1];
+    }
+    even + x * odd
+}
+
+/// `atan(t)/t` for `x = t²` where `t` is small, as it is in residuals; the series is several times
+/// faster than `atan2`.
+#[inline]
+pub(super) fn small_arctangent(x: f64) -> Option<f64> {
+    (x < ARCTANGENT_BELOW).then(|| sum(&ARCTANGENT, x))
 }
 
 /// `sin(t) / t`.

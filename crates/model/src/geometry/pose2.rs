@@ -139,7 +139,7 @@ impl LieGroup<3> for Pose2 {
     #[inline]
     fn log(&self) -> Vector3<f64> {
         let Rot2 { cos, sin } = self.rotation;
-        let theta = self.rotation.angle();
+        let theta = self.rotation.log_angle();
         let half = 0.5 * theta;
         let h_cot_h = if cos < 0.0 {
             half * sin / (1.0 - cos)

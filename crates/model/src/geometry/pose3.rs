@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::coefficients::{
     inverse_jacobian, inverse_jacobian_with_prime, jacobian, jacobian_prime,
 };
-use super::rot3::{quadratic, skew};
+use super::rot3::{quadratic, skew, symmetric_and_skew};
 use super::{Point3, Rot3, acts_on, group_manifold};
 use crate::manifold::LieGroup;
 
@@ -99,17 +99,19 @@ acts_on!(Pose3, Point3, transform_point);
 
 #[inline]
 fn split(tangent: &Vector6<f64>) -> (Vector3<f64>, Vector3<f64>) {
-    (tangent.fixed_rows::<3>(0).into_owned(), tangent.fixed_rows::<3>(3).into_owned())
+    let d = tangent;
+    (Vector3::new(d[0], d[1], d[2]), Vector3::new(d[3], d[4], d[5]))
 }
 
 /// `[A B; 0 A]`.
 #[inline]
 fn block_triangular(a: &Matrix3<f64>, b: &Matrix3<f64>) -> Matrix6<f64> {
-    let mut m = Matrix6::zeros();
-    m.fixed_view_mut::<3, 3>(0, 0).copy_from(a);
-    m.fixed_view_mut::<3, 3>(0, 3).copy_from(b);
-    m.fixed_view_mut::<3, 3>(3, 3).copy_from(a);
-    m
+    // Entry by entry, which compiles to nothing; views are loops at run time.
+    Matrix6::from_fn(|i, j| match (i / 3, j / 3) {
+        (0, 0) | (1, 1) => a[(i % 3, j % 3)],
+        (0, 1) => b[(i, j - 3)],
+        _ => 0.0,
+    })
 }
 
 /// The derivative of `I + a(θ) [φ]× + b(θ) [φ]×²` along `rho`, given `a`, `b`, `a'/θ`, `b'/θ`.
@@ -126,14 +128,12 @@ fn directional(
 ) -> Matrix3<f64> {
     let dot = phi.dot(rho);
     // [φ][ρ] + [ρ][φ] = ρφᵀ + φρᵀ - 2 (φ·ρ) I,   [φ]² = φφᵀ - θ² I
-    let outer = b * rho + 0.5 * dot * b_prime * phi;
-    let mut m = outer * phi.transpose() + phi * outer.transpose();
-    m += skew(&(a * rho + dot * a_prime * phi));
-    let diagonal = dot * (2.0 * b + b_prime * phi.norm_squared());
-    m[(0, 0)] -= diagonal;
-    m[(1, 1)] -= diagonal;
-    m[(2, 2)] -= diagonal;
-    m
+    symmetric_and_skew(
+        &(b * rho + 0.5 * dot * b_prime * phi),
+        phi,
+        -dot * (2.0 * b + b_prime * phi.norm_squared()),
+        &(a * rho + dot * a_prime * phi),
+    )
 }
 
 impl LieGroup<6> for Pose3 {
@@ -165,7 +165,8 @@ impl LieGroup<6> for Pose3 {
     }
 
     /// `(Jl(φ)⁻¹ t, φ)` with `φ = Log(R)`.
-    #[inline]
+    // Inlined always, so that whoever takes a Jacobian at the result shares γ with it.
+    #[inline(always)]
     fn log(&self) -> Vector6<f64> {
         let phi = self.rotation.log();
         let gamma = inverse_jacobian(phi.norm_squared());

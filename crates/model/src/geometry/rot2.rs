@@ -6,6 +6,7 @@ use std::fmt;
 use nalgebra::{Matrix1, Matrix2, Vector1, Vector2};
 use serde::{Deserialize, Serialize};
 
+use super::coefficients::small_arctangent;
 use super::{GeometryError, Point2, acts_on, group_manifold};
 use crate::manifold::LieGroup;
 
@@ -98,6 +99,16 @@ impl Rot2 {
         self.rotate(&point.vector()).into()
     }
 
+    /// [`angle`](Self::angle), faster where it is small, to within the rounding of cosine and sine.
+    #[inline]
+    pub(super) fn log_angle(&self) -> f64 {
+        let tangent = self.sin / self.cos;
+        match small_arctangent(tangent * tangent) {
+            Some(ratio) if self.cos > 0.0 => tangent * ratio,
+            _ => self.angle(),
+        }
+    }
+
     /// From a cosine and sine that have drifted from unit length by rounding only: one Newton step
     /// of the inverse square root at one, whose error is of the order of the drift squared.
     #[inline]
@@ -147,7 +158,7 @@ impl LieGroup<1> for Rot2 {
 
     #[inline]
     fn log(&self) -> Vector1<f64> {
-        Vector1::new(self.angle())
+        Vector1::new(self.log_angle())
     }
 
     #[inline]

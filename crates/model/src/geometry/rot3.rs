@@ -5,7 +5,7 @@ use std::fmt;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::coefficients::{inverse_jacobian, jacobian, sinc};
+use super::coefficients::{inverse_jacobian, jacobian, sinc, small_arctangent};
 use super::rot2::principal;
 use super::{GeometryError, Point3, acts_on, group_manifold};
 use crate::manifold::LieGroup;
@@ -210,16 +210,18 @@ impl LieGroup<3> for Rot3 {
         Self { x: v.x, y: v.y, z: v.z, w: half.cos() }
     }
 
-    /// `2 atan2(|v|, w) v/|v|` of the quaternion or its negative, whichever is the short way
+    /// `2 atan(|v|/w) v/|v|`, which is the same for the quaternion and its negative: the short way
     /// round. Unlike the arc cosine of the trace this is exact near zero and near half a turn.
     #[inline]
     fn log(&self) -> Vector3<f64> {
-        let sign = if self.w < 0.0 { -1.0 } else { 1.0 };
-        let (v, w) = (sign * self.imaginary(), sign * self.w);
+        let (v, w) = (self.imaginary(), self.w);
+        let inverse = 1.0 / w;
+        if let Some(ratio) = small_arctangent(v.norm_squared() * (inverse * inverse)) {
+            return 2.0 * inverse * ratio * v;
+        }
         let norm = v.norm();
-        // For |v| below 1e-154 the norm underflows; there atan2(|v|, w)/|v| is 1/w.
-        let scale = if norm == 0.0 { 2.0 / w } else { 2.0 * norm.atan2(w) / norm };
-        scale * v
+        let angle = if w < 0.0 { -2.0 * norm.atan2(-w) } else { 2.0 * norm.atan2(w) };
+        angle / norm * v
     }
 
     #[inline]
@@ -240,15 +242,32 @@ impl LieGroup<3> for Rot3 {
     }
 }
 
-/// `I + a [φ]× + b [φ]×²`.
+/// `I + a [φ]× + b [φ]×²`, with `[φ]×² = φφᵀ - θ² I`.
 #[inline]
 pub(super) fn quadratic(phi: &Vector3<f64>, a: f64, b: f64) -> Matrix3<f64> {
-    let mut m = b * phi * phi.transpose() + a * skew(phi);
-    let diagonal = 1.0 - b * phi.norm_squared();
-    m[(0, 0)] += diagonal;
-    m[(1, 1)] += diagonal;
-    m[(2, 2)] += diagonal;
-    m
+    symmetric_and_skew(&(0.5 * b * phi), phi, 1.0 - b * phi.norm_squared(), &(a * phi))
+}
+
+/// `u vᵀ + v uᵀ + d I + [w]×`.
+#[inline]
+pub(super) fn symmetric_and_skew(
+    u: &Vector3<f64>,
+    v: &Vector3<f64>,
+    d: f64,
+    w: &Vector3<f64>,
+) -> Matrix3<f64> {
+    let (xy, xz, yz) = (u.x * v.y + u.y * v.x, u.x * v.z + u.z * v.x, u.y * v.z + u.z * v.y);
+    Matrix3::new(
+        2.0 * u.x * v.x + d,
+        xy - w.z,
+        xz + w.y,
+        xy + w.z,
+        2.0 * u.y * v.y + d,
+        yz - w.x,
+        xz - w.y,
+        yz + w.x,
+        2.0 * u.z * v.z + d,
+    )
 }
 
 impl fmt::Debug for Rot3 {

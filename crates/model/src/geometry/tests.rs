@@ -5,7 +5,9 @@ use std::f64::consts::PI;
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector3, Vector6};
 use proptest::prelude::*;
 
-use super::coefficients::{inverse_jacobian_with_prime, jacobian, jacobian_prime};
+use super::coefficients::{
+    inverse_jacobian_with_prime, jacobian, jacobian_prime, small_arctangent,
+};
 use super::*;
 use crate::testing::{check_lie_group, check_manifold};
 use crate::{LieGroup, Manifold};
@@ -65,6 +67,37 @@ fn coefficients_agree_with_their_whole_series() {
             "gamma' at {theta}: {}",
             relative(gamma_prime, slope)
         );
+    }
+}
+
+#[test]
+fn the_series_of_the_arc_tangent_agrees_with_the_function() {
+    let mut sums = 0;
+    for tangent in angles() {
+        if let Some(ratio) = small_arctangent(tangent * tangent) {
+            assert!((tangent * ratio - tangent.atan()).abs() <= 5e-16 * tangent, "{tangent}");
+            sums += 1;
+        }
+    }
+    assert!(sums > 100);
+    assert_eq!(small_arctangent(f64::NAN), None);
+}
+
+#[test]
+fn logarithms_of_what_is_not_finite_are_not_finite() {
+    for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        for place in 0..7 {
+            let mut storage = [1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 0.9];
+            storage[place] = bad;
+            let log = Pose3::identity().between(&Pose3::load(&storage)).log();
+            assert!(log.iter().any(|x| !x.is_finite()), "{storage:?}");
+        }
+        for place in 0..4 {
+            let mut storage = [1.0, 2.0, 0.99, 0.1];
+            storage[place] = bad;
+            let log = Pose2::identity().between(&Pose2::load(&storage)).log();
+            assert!(log.iter().any(|x| !x.is_finite()), "{storage:?}");
+        }
     }
 }
 

@@ -331,11 +331,12 @@ impl Graph {
     /// The term of the objective of the factor in a slot at `values`.
     pub fn factor_error(&self, factor: usize, values: &[f64]) -> f64 {
         let term = self.term(factor);
-        let mut residual: SmallVec<[f64; 8]> = SmallVec::from_elem(0.0, term.rows as usize);
-        self.with_arguments(term, values, |arguments| {
-            term.factor.residual(arguments, &mut residual)
-        });
-        term.factor.error(&residual)
+        with_scratch(term.rows as usize, 0.0, |residual: &mut [f64]| {
+            self.with_arguments(term, values, |arguments| {
+                term.factor.residual(arguments, residual)
+            });
+            term.factor.error(residual)
+        })
     }
 
     /// The objective at `values`: the sum of all factors' terms, in the order of their slots.
@@ -349,9 +350,12 @@ impl Graph {
         values: &[f64],
         f: impl FnOnce(&crate::Arguments<'_>) -> R,
     ) -> R {
-        let storages: SmallVec<[&[f64]; 4]> =
-            term.variables.iter().map(|&v| &values[self.value_range(v as usize)]).collect();
-        f(&crate::Arguments::new(&storages))
+        with_scratch(term.variables.len(), &values[..0], |storages| {
+            for (storage, &variable) in storages.iter_mut().zip(&term.variables) {
+                *storage = &values[self.value_range(variable as usize)];
+            }
+            f(&crate::Arguments::new(storages))
+        })
     }
 
     fn variable(&self, index: usize) -> &Variable {
@@ -364,5 +368,13 @@ impl Graph {
 
     fn term(&self, index: usize) -> &Term {
         self.factors.at(index).expect("the slot holds a living factor")
+    }
+}
+
+/// A slice of `len` for the time of `f`: on the stack, unless a factor is unusually large.
+fn with_scratch<T: Copy, R>(len: usize, fill: T, f: impl FnOnce(&mut [T]) -> R) -> R {
+    match [fill; 6].get_mut(..len) {
+        Some(scratch) => f(scratch),
+        None => f(&mut vec![fill; len]),
     }
 }
