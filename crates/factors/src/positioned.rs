@@ -48,19 +48,23 @@ macro_rules! positioned {
 positioned!(Pose2, Point2, 2);
 positioned!(Pose3, Point3, 3);
 
+/// Two points that are no further apart than this (m, in each coordinate) are in the same place: the
+/// direction from one to the other would be that of rounding.
+const COINCIDENT: f64 = 1e-12;
+
 /// Length and direction of `v`; no direction where it has no length.
 ///
 /// Scaled by the largest component first where a square would leave the range of `f64`.
 #[inline]
 pub(crate) fn polar<const D: usize>(v: &SVector<f64, D>) -> (f64, Option<SVector<f64, D>>) {
+    // Not by the largest, which leaves out NaN.
+    if v.iter().all(|x| x.abs() < COINCIDENT) {
+        return (0.0, None);
+    }
     let squared = v.norm_squared();
     if squared.is_normal() {
         let norm = squared.sqrt();
         return (norm, Some(v / norm));
-    }
-    // Not by the largest, which leaves out NaN.
-    if v.iter().all(|x| x.abs() < f64::MIN_POSITIVE) {
-        return (0.0, None);
     }
     let largest = v.amax();
     let scaled = v / largest;

@@ -164,7 +164,7 @@ impl Smoother {
             Ok(_) => {
                 self.solution = solve::State::default();
                 self.solution.resize(&self.graph);
-                self.pending.clear();
+                self.ahead.clear(&mut self.scratch.workspace.pool);
                 self.at_optimum = true;
             }
             Err(_) => {

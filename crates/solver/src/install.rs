@@ -41,12 +41,24 @@ impl Smoother {
                     }
                 }
             };
-            let children = node.children.iter().map(|child| match child {
-                Child::Node(node) => installed[*node as usize],
-                Child::Kept(clique) => *clique,
-            });
-            let clique =
-                Clique { structure, numeric, parent: NONE, children: children.collect(), solved };
+            let children = node
+                .children
+                .iter()
+                .map(|child| match child {
+                    Child::Node(node) => installed[*node as usize],
+                    Child::Kept(clique) => *clique,
+                    Child::Ahead(place) => self.ahead.clique(*place).0,
+                })
+                .collect();
+            let clique = Clique {
+                structure,
+                numeric,
+                parent: NONE,
+                children,
+                solved,
+                unfinished: solved > 0,
+                birth: 0,
+            };
             let index = tree.insert(clique);
             tree.adopt(index);
             if node.parent.is_none() {
@@ -56,6 +68,11 @@ impl Smoother {
         }
         split.clear();
         *shortened = split;
+        for &(place, clique) in planner.ahead() {
+            if let Some(numeric) = self.ahead.take(place) {
+                tree.replace_numeric(clique, numeric, &mut workspace.pool);
+            }
+        }
         for (clique, numeric) in std::mem::take(&mut eliminated.kept) {
             tree.replace_numeric(clique, numeric, &mut workspace.pool);
         }

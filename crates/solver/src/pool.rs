@@ -11,7 +11,7 @@ pub(crate) struct Pool {
 }
 
 /// Free buffers are kept up to this share of what is in use ...
-const KEPT_SHARE: usize = 4;
+const KEPT_SHARE: usize = 1;
 /// ... and this many numbers: enough for the top of any tree.
 const KEPT: usize = 1 << 17;
 

@@ -1,6 +1,6 @@
 //! What can be asked of a smoother; nothing here alters it.
 
-use std::hash::{DefaultHasher, Hasher};
+use std::hash::{DefaultHasher, Hash, Hasher};
 
 use evergraph_model::{FactorId, Graph, Key, Manifold, Value, Values, VariableId};
 
@@ -119,6 +119,8 @@ impl Smoother {
             self.blocks.get(f).iter().for_each(|&x| number(x));
         }
         self.tree.hash_state(&mut hash);
+        self.ahead.hash_state(&mut hash);
+        self.checked.hash(&mut hash);
         hash.write_u32(self.newest);
         hash.write_u64(self.steps);
         hash.write_u8(u8::from(self.at_optimum));

@@ -35,6 +35,9 @@ pub struct Relinearization {
     pub fluid: Option<Fluid>,
     /// The rare check for what has moved at all.
     pub sweep: Option<Fluid>,
+    /// Over how many changes the work of relinearizing what a check found is spread; 1 does it all
+    /// in the next change. The estimate is that of the old linearization points until all is done.
+    pub spread: NonZeroU32,
     /// Every so many changes all variables are relinearized and solved until convergence. Exact,
     /// and the slowest step by far; iSAM uses 100, the GLC paper 50.
     pub batch: Option<NonZeroU32>,
@@ -48,21 +51,22 @@ const fn interval(n: u32) -> NonZeroU32 {
 }
 
 impl Relinearization {
-    /// Fluid with a threshold of 0.05 every 10 changes, and every 100 a sweep of what exceeds
-    /// 0.005. No step pays for the whole graph unless the whole graph has moved. The default.
+    /// Fluid with a threshold of 0.1 every 10 changes, and every 100 a sweep of what exceeds 0.02,
+    /// each spread over 10. No step pays for the whole graph. The default.
     pub const BOTH: Self = Self {
-        fluid: Some(Fluid { threshold: 0.05, every: interval(10) }),
-        sweep: Some(Fluid { threshold: 0.005, every: interval(100) }),
+        fluid: Some(Fluid { threshold: 0.1, every: interval(10) }),
+        sweep: Some(Fluid { threshold: 0.02, every: interval(100) }),
+        spread: interval(10),
         batch: None,
     };
     /// Only the frequent check of [`BOTH`](Self::BOTH).
-    pub const FLUID: Self = Self { fluid: Self::BOTH.fluid, sweep: None, batch: None };
+    pub const FLUID: Self = Self { sweep: None, ..Self::BOTH };
     /// Linearization points stay at the initial values.
-    pub const NEVER: Self = Self { fluid: None, sweep: None, batch: None };
+    pub const NEVER: Self = Self { fluid: None, ..Self::FLUID };
 
     /// Only a batch step to convergence every `n` changes.
     pub const fn every(n: NonZeroU32) -> Self {
-        Self { fluid: None, sweep: None, batch: Some(n) }
+        Self { batch: Some(n), ..Self::NEVER }
     }
 }
 

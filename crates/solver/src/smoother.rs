@@ -10,7 +10,7 @@ use crate::diagnose;
 use crate::eliminate::{self, Eliminated, Failure, Job, System, Workspace};
 use crate::error::SmootherError;
 use crate::linearization::Blocks;
-use crate::relinearize::Pending;
+use crate::relinearize::{Ahead, Checked};
 use crate::report::Report;
 use crate::settings::Settings;
 use crate::solve;
@@ -33,8 +33,9 @@ pub struct Smoother {
     pub(crate) blocks: Blocks,
     pub(crate) tree: Tree,
     pub(crate) solution: solve::State,
-    /// Variables to relinearize in the next steps.
-    pub(crate) pending: Pending,
+    /// Relinearization in progress.
+    pub(crate) ahead: Ahead,
+    pub(crate) checked: Checked,
     /// Slot of the variable that is eliminated last.
     pub(crate) newest: u32,
     /// Changes applied.
@@ -54,8 +55,6 @@ pub(crate) struct Scratch {
     pub(crate) undo: Undo,
     /// Variables that this step relinearizes.
     pub(crate) due: Vec<u32>,
-    /// How many of the pending ones were looked at for that.
-    pub(crate) considered: usize,
     /// Factors to linearize again.
     again: Vec<u32>,
     pub(crate) workspace: Workspace,
@@ -75,7 +74,6 @@ impl Scratch {
             eliminated: Eliminated::default(),
             undo: Undo::default(),
             due: Vec::new(),
-            considered: 0,
             again: Vec::new(),
             workspace: Workspace::default(),
             installed: Vec::new(),
@@ -89,6 +87,28 @@ impl Scratch {
 impl Clone for Scratch {
     fn clone(&self) -> Self {
         Self::new(self.instructions, self.pool.clone())
+    }
+}
+
+/// Why a change could not be eliminated.
+pub(crate) enum Refusal {
+    /// What was done ahead of time has to be done otherwise.
+    Ahead,
+    Error(SmootherError),
+}
+
+impl From<SmootherError> for Refusal {
+    fn from(error: SmootherError) -> Self {
+        Self::Error(error)
+    }
+}
+
+impl From<Refusal> for SmootherError {
+    fn from(refusal: Refusal) -> Self {
+        match refusal {
+            Refusal::Error(error) => error,
+            Refusal::Ahead => unreachable!("without points that are due nothing was done ahead"),
+        }
     }
 }
 
@@ -114,7 +134,8 @@ impl Smoother {
             blocks: Blocks::default(),
             tree: Tree::default(),
             solution: solve::State::default(),
-            pending: Pending::default(),
+            ahead: Ahead::default(),
+            checked: Checked::default(),
             newest: NONE,
             steps: 0,
             at_optimum: false,
@@ -140,17 +161,18 @@ impl Smoother {
         let newest = self.newest_after(&staged);
         // 2. Eliminate what it affects anew, together with what is due to be relinearized.
         let mut report = Report::default();
-        if let Err(error) = self.eliminate_change(&change, &staged, newest, true) {
+        let mut done = self.eliminate_change(&change, &staged, newest, true);
+        if done.is_err() && !self.scratch.due.is_empty() {
             // Perhaps without moving points that nobody asked to move.
-            if self.scratch.due.is_empty() {
-                self.graph.unstage(staged);
-                return Err(error);
+            let refusal = done.err();
+            done = self.eliminate_change(&change, &staged, newest, false);
+            if done.is_ok() {
+                report.relinearization_refused = self.set_aside(refusal);
             }
-            report.relinearization_refused = Some(error);
-            if let Err(error) = self.eliminate_change(&change, &staged, newest, false) {
-                self.graph.unstage(staged);
-                return Err(error);
-            }
+        }
+        if let Err(refusal) = done {
+            self.graph.unstage(staged);
+            return Err(refusal.into());
         }
         // 3. Commit.
         report.variables_eliminated = self.scratch.planner.variables.len();
@@ -163,8 +185,8 @@ impl Smoother {
         self.newest = newest;
         self.steps += 1;
         self.at_optimum = false;
-        // 4. Find out what is due next.
-        self.look_for_due(&mut report);
+        // 4. Relinearize: go on, or look what has moved.
+        self.relinearize(&mut report);
         report.rank = self.graph.dim();
         trace!(
             step = self.steps,
@@ -186,25 +208,31 @@ impl Smoother {
         staged: &Staged,
         newest: u32,
         with_due: bool,
-    ) -> Result<(), SmootherError> {
+    ) -> Result<(), Refusal> {
         // Mark the cliques that the change touches, and their ancestors, to be detached.
         let moved = change.moves().iter().map(|(v, _)| v.index() as u32);
         self.scratch.planner.touch_change(&self.graph, &self.tree, staged, moved);
         // Mark those of variables that are due, to be eliminated again in place.
-        self.choose_due(change, staged, with_due);
+        self.choose_due(change, with_due);
         // Move points and linearize.
         self.scratch.undo.start(self.points.len());
-        let result = self.linearize(change, staged).and_then(|()| {
+        let result = self.linearize(change, staged).map_err(Refusal::from).and_then(|()| {
             // Order the affected variables and build the new cliques.
             let Scratch { planner, job, .. } = &mut self.scratch;
             planner.gather_change(&self.graph, &self.tree, staged);
             planner.plan(&self.graph, &self.tree, newest, job);
             // Eliminate, bottom-up.
             let dropped = (staged.dropped_factors(), staged.dropped_variables());
-            self.eliminate(None).map_err(|failure| self.explain(failure, dropped.0, dropped.1))
+            self.eliminate(None).map_err(|failure| match failure {
+                Failure::Ahead => Refusal::Ahead,
+                failure => self.explain(failure, dropped.0, dropped.1).into(),
+            })
         });
         if result.is_err() {
             self.scratch.undo.take_back(&self.graph, &mut self.points, &mut self.blocks);
+            if !self.scratch.due.is_empty() {
+                self.ahead.swap(&self.graph, &mut self.points, &mut self.blocks);
+            }
         }
         result
     }
@@ -212,7 +240,7 @@ impl Smoother {
     /// Moves the points that the change moves and those that are due, and linearizes what is on
     /// them and what is new.
     fn linearize(&mut self, change: &Change, staged: &Staged) -> Result<(), SmootherError> {
-        let Self { graph, points, blocks, solution, scratch, .. } = self;
+        let Self { graph, points, blocks, ahead, scratch, .. } = self;
         let Scratch { undo, due, again, .. } = scratch;
         points.resize(graph.value_len(), 0.0);
         for (id, value) in change.new_variables() {
@@ -224,10 +252,10 @@ impl Smoother {
             points[graph.value_range(id.index())].copy_from_slice(value.storage());
             again.extend_from_slice(graph.factors_at(id.index()));
         }
-        for &variable in &*due {
-            undo.save_point(graph, points, variable);
-            solution.move_point(graph, variable as usize, points);
-            again.extend_from_slice(graph.factors_at(variable as usize));
+        if !due.is_empty() {
+            ahead.swap(graph, points, blocks);
+            let factors = due.iter().flat_map(|&v| graph.factors_at(v as usize).iter().copied());
+            again.extend(factors.filter(|&f| !ahead.has(graph, f)));
         }
         for factor in staged.new_factors() {
             undo.save_insertion(blocks, factor as u32);
@@ -271,6 +299,8 @@ impl Smoother {
             tree: &self.tree,
             elimination: self.settings.elimination,
             instructions: self.scratch.instructions,
+            overlay: None,
+            ahead: &self.ahead,
             damping,
         };
         let Scratch { job, eliminated, workspace, pool, .. } = &mut self.scratch;
@@ -292,6 +322,7 @@ impl Smoother {
             Failure::Overflow { variable } => {
                 SmootherError::Overflow { variable: self.graph.variable_id(variable as usize) }
             }
+            Failure::Ahead => unreachable!("only `apply` takes over what was done ahead"),
         }
     }
 
@@ -309,7 +340,13 @@ impl Smoother {
         for &variable in &self.scratch.due {
             self.solution.reset(&self.graph, variable as usize);
         }
-        self.pending.advance(self.scratch.considered);
+        if !self.scratch.due.is_empty() {
+            self.checked.fluid = 0;
+        }
+        // What was in progress for other points than these cannot go on.
+        if !self.scratch.due.is_empty() || !change.moves().is_empty() {
+            self.ahead.clear(&mut self.scratch.workspace.pool);
+        }
         self.graph.commit(staged);
     }
 }

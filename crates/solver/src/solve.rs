@@ -6,7 +6,6 @@
 
 use evergraph_model::Graph;
 use pulp::{Simd, WithSimd};
-use smallvec::SmallVec;
 
 use crate::dense::Instructions;
 use crate::tree::{Clique, Numeric, Tree};
@@ -149,106 +148,150 @@ fn frontal_part<'a>(
 }
 
 /// δ kept between updates, and when each variable's last moved.
+///
+/// A change of δ is passed down the tree while it is large; small ones add up where they stopped,
+/// and a fine pass takes them further.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct State {
-    /// By tangent range; within the tolerance of the exact solution after a refresh.
+    /// By tangent range; within the finer tolerance of the exact solution after a fine pass.
     pub(crate) delta: Vec<f64>,
-    /// By variable slot: the time when δ last changed by more than the tolerance.
-    changed: Vec<u64>,
+    /// δ as of the last time when it changed by more than the coarser tolerance.
+    coarse: Vec<f64>,
+    /// By variable slot: the times when `delta` and `coarse` last changed.
+    changed: Vec<(u64, u64)>,
     clock: u64,
-    /// Variables with a component of δ beyond the threshold of the last refreshes, perhaps more
+    /// Variables with a component of δ beyond the threshold of the passes so far, perhaps more
     /// than once or no longer; see [`State::moved_beyond`].
     far: Vec<u32>,
     seen: Vec<bool>,
     scratch: Vec<f64>,
 }
 
+/// How far a pass of [`State::refresh`] goes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Pass {
+    /// Changes of δ up to this are not kept.
+    pub(crate) fine: f64,
+    /// Changes up to this are kept, but not passed on, unless `is_fine`.
+    pub(crate) coarse: f64,
+    pub(crate) is_fine: bool,
+    /// Variables with a component of δ beyond this are remembered.
+    pub(crate) threshold: f64,
+}
+
 impl State {
     /// Makes room for the graph's variables.
     pub(crate) fn resize(&mut self, graph: &Graph) {
         self.delta.resize(graph.tangent_len(), 0.0);
-        self.changed.resize(graph.variable_slots(), 0);
+        self.coarse.resize(graph.tangent_len(), 0.0);
+        self.changed.resize(graph.variable_slots(), (0, 0));
     }
 
     /// Starts a variable at δ = 0.
     pub(crate) fn reset(&mut self, graph: &Graph, variable: usize) {
         self.delta[graph.tangent_range(variable)].fill(0.0);
-        self.changed[variable] = self.clock;
+        self.coarse[graph.tangent_range(variable)].fill(0.0);
+        self.changed[variable] = (self.clock, self.clock);
     }
 
-    /// Moves a variable's point by its δ as of the last refresh.
-    pub(crate) fn move_point(&self, graph: &Graph, variable: usize, points: &mut [f64]) {
-        let range = graph.value_range(variable);
-        let old: SmallVec<[f64; 16]> = points[range.clone()].into();
+    /// A variable's point moved by its δ as of the last refresh.
+    pub(crate) fn moved(&self, graph: &Graph, variable: usize, point: &[f64], out: &mut [f64]) {
         let delta = &self.delta[graph.tangent_range(variable)];
-        graph.kind_at(variable).retract(&old, delta, &mut points[range]);
+        graph.kind_at(variable).retract(point, delta, out);
     }
 
-    /// Solves cliques that are new, or whose separator has moved by more than `tolerance` since
-    /// they were last solved; by running intersection the subtree of any other clique is left
-    /// alone. Remembers what lies beyond `threshold`.
+    /// Solves cliques that are new, or whose separator has moved since they were last solved; by
+    /// running intersection the subtree of any other clique is left alone, unless an earlier pass
+    /// stopped there.
     pub(crate) fn refresh(
         &mut self,
         instructions: Instructions,
         graph: &Graph,
         tree: &mut Tree,
-        tolerance: f64,
-        threshold: f64,
+        pass: Pass,
     ) {
         self.clock += 1;
         let mut stack: Vec<u32> = tree.roots.iter().copied().collect();
         while let Some(index) = stack.pop() {
             let clique = tree.clique(index);
-            let separator = &clique.structure.separator;
-            let dirty = clique.solved == 0
-                || separator.iter().any(|&v| self.changed[v as usize] > clique.solved);
-            if !dirty {
+            let moved = |v: &u32| {
+                let (fine, coarse) = self.changed[*v as usize];
+                (if pass.is_fine { fine } else { coarse }) > clique.solved
+            };
+            if clique.solved == 0 || clique.structure.separator.iter().any(moved) {
+                let has_small = self.solve(instructions, graph, clique, pass);
+                tree.clique_mut(index).solved = self.clock;
+                if has_small && !pass.is_fine {
+                    tree.mark_unfinished(index);
+                }
+            } else if !(pass.is_fine && clique.unfinished) {
                 continue;
             }
-            let mut scratch = std::mem::take(&mut self.scratch);
-            solve_clique(instructions, graph, clique, &mut scratch, |v, out| {
-                out.copy_from_slice(&self.delta[graph.tangent_range(v as usize)]);
-            });
-            let mut at = 0;
-            for &v in &clique.structure.frontals {
-                let range = graph.tangent_range(v as usize);
-                let new = &scratch[at..at + range.len()];
-                at += range.len();
-                let old = &mut self.delta[range];
-                let moved =
-                    new.iter().zip(old.iter()).any(|(new, old)| (new - old).abs() > tolerance);
-                if moved {
-                    old.copy_from_slice(new);
-                    self.changed[v as usize] = self.clock;
-                    if new.iter().any(|x| x.abs() > threshold) {
-                        self.far.push(v);
-                    }
-                }
+            stack.extend(tree.clique(index).children.iter().copied());
+            if pass.is_fine {
+                tree.clique_mut(index).unfinished = false;
             }
-            self.scratch = scratch;
-            stack.extend(clique.children.iter().copied());
-            tree.clique_mut(index).solved = self.clock;
         }
     }
 
-    /// Variables whose δ has a component beyond `threshold`, ascending; `smallest` is the threshold
-    /// that every refresh was given. Costs what has moved, not the whole graph.
+    /// Solves a clique; whether something has changed that is too small to be passed on.
+    fn solve(
+        &mut self,
+        instructions: Instructions,
+        graph: &Graph,
+        clique: &Clique,
+        pass: Pass,
+    ) -> bool {
+        let mut scratch = std::mem::take(&mut self.scratch);
+        solve_clique(instructions, graph, clique, &mut scratch, |v, out| {
+            out.copy_from_slice(&self.delta[graph.tangent_range(v as usize)]);
+        });
+        let mut has_small = false;
+        let mut at = 0;
+        for &v in &clique.structure.frontals {
+            let range = graph.tangent_range(v as usize);
+            let new = &scratch[at..at + range.len()];
+            at += range.len();
+            if is_beyond(new, &self.delta[range.clone()], pass.fine) {
+                self.delta[range.clone()].copy_from_slice(new);
+                self.changed[v as usize].0 = self.clock;
+                if is_beyond(new, &self.coarse[range.clone()], pass.coarse) {
+                    self.coarse[range].copy_from_slice(new);
+                    self.changed[v as usize].1 = self.clock;
+                } else {
+                    has_small = true;
+                }
+                if new.iter().any(|x| x.abs() > pass.threshold) {
+                    self.far.push(v);
+                }
+            }
+        }
+        self.scratch = scratch;
+        has_small
+    }
+
+    /// Variables whose δ has a component beyond `threshold`, in the order in which they were
+    /// solved for; `smallest` is the threshold that every pass was given. Costs what has moved, not
+    /// the whole graph.
     pub(crate) fn moved_beyond(
         &mut self,
         graph: &Graph,
         threshold: f64,
         smallest: f64,
     ) -> Vec<u32> {
-        let delta = &self.delta;
+        let Self { far, seen, delta, .. } = self;
+        seen.resize(graph.variable_slots(), false);
         let beyond = |v: u32, limit: f64| {
             graph.is_variable_at(v as usize)
                 && delta[graph.tangent_range(v as usize)].iter().any(|d| d.abs() > limit)
         };
-        self.seen.resize(graph.variable_slots(), false);
-        let seen = &mut self.seen;
-        self.far.retain(|&v| !std::mem::replace(&mut seen[v as usize], true));
-        self.far.iter().for_each(|&v| seen[v as usize] = false);
-        self.far.retain(|&v| beyond(v, smallest));
-        self.far.iter().copied().filter(|&v| beyond(v, threshold)).collect()
+        far.retain(|&v| beyond(v, smallest) && !std::mem::replace(&mut seen[v as usize], true));
+        far.iter().for_each(|&v| seen[v as usize] = false);
+        far.iter().copied().filter(|&v| beyond(v, threshold)).collect()
     }
+}
+
+/// Whether two vectors differ by more than `tolerance` anywhere.
+fn is_beyond(x: &[f64], y: &[f64], tolerance: f64) -> bool {
+    x.iter().zip(y).any(|(x, y)| (x - y).abs() > tolerance)
 }

@@ -114,6 +114,14 @@ impl Numeric {
         &self.data[..self.layout.panel_len()]
     }
 
+    /// Whether the right-hand side is finite; anything else that is not reaches a pivot on the way
+    /// up.
+    pub(crate) fn has_finite_rhs(&self) -> bool {
+        let last = self.layout.columns() - 1;
+        self.is_without_panel()
+            || self.panel().chunks_exact(self.layout.rows()).all(|row| row[last].is_finite())
+    }
+
     /// Row `j` of `[R_ff R_fs d]`, from the diagonal on.
     pub(crate) fn row(&self, j: usize) -> &[f64] {
         let start = j * self.layout.rows();
@@ -157,6 +165,10 @@ pub(crate) struct Clique {
     pub(crate) children: SmallVec<[u32; 4]>,
     /// When its frontals were last solved for; 0 is never. See [`crate::solve`].
     pub(crate) solved: u64,
+    /// Whether a pass of back-substitution stopped somewhere below.
+    pub(crate) unfinished: bool,
+    /// Number of this clique among all that the tree ever had.
+    pub(crate) birth: u64,
 }
 
 /// The cliques, and which of them eliminates each variable.
@@ -167,6 +179,7 @@ pub(crate) struct Tree {
     /// By variable slot.
     clique_of: Vec<u32>,
     pub(crate) roots: BTreeSet<u32>,
+    births: u64,
 }
 
 impl Tree {
@@ -198,7 +211,14 @@ impl Tree {
         living.map(|(index, _)| index as u32)
     }
 
-    pub(crate) fn insert(&mut self, clique: Clique) -> u32 {
+    /// Whether a clique is still there, unchanged but for its numbers.
+    pub(crate) fn is_alive(&self, index: u32, birth: u64) -> bool {
+        self.cliques[index as usize].as_ref().is_some_and(|clique| clique.birth == birth)
+    }
+
+    pub(crate) fn insert(&mut self, mut clique: Clique) -> u32 {
+        self.births += 1;
+        clique.birth = self.births;
         let index = match self.free.pop() {
             Some(index) => index,
             None => {
@@ -233,11 +253,21 @@ impl Tree {
         clique.solved = 0;
     }
 
-    /// Tells the children of a clique that it is their parent.
+    /// Tells the children of a new clique that it is their parent.
     pub(crate) fn adopt(&mut self, index: u32) {
         for at in 0..self.clique(index).children.len() {
             let child = self.clique(index).children[at];
             self.clique_mut(child).parent = index;
+            self.clique_mut(index).unfinished |= self.clique(child).unfinished;
+        }
+    }
+
+    /// Remembers, in a clique and all above it, that a pass of back-substitution stopped there.
+    pub(crate) fn mark_unfinished(&mut self, mut index: u32) {
+        while index != NONE && !self.clique(index).unfinished {
+            let clique = self.clique_mut(index);
+            clique.unfinished = true;
+            index = clique.parent;
         }
     }
 

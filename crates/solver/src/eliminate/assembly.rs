@@ -46,7 +46,7 @@ pub(super) fn add_factor(
     front: &mut Assembly<'_>,
 ) {
     let graph = system.graph;
-    let data = system.blocks.get(factor);
+    let data = system.block(factor);
     // The blocks as the front has them, first eliminated first; the right-hand side is the last.
     let mut blocks: SmallVec<[Block; 4]> = SmallVec::new();
     for (&from, &v) in graph.columns_at(factor).iter().zip(graph.variables_at(factor)) {

@@ -18,8 +18,9 @@ use smallvec::SmallVec;
 use tracing::debug;
 
 use crate::dense::Instructions;
-use crate::linearization::Blocks;
+use crate::linearization::{Blocks, Overlay};
 use crate::pool::Pool;
+use crate::relinearize::Ahead;
 use crate::settings::Elimination;
 use crate::tree::{Numeric, Structure, Tree};
 
@@ -43,6 +44,8 @@ pub(crate) enum Child {
     Node(u32),
     /// A clique of the tree that is kept.
     Kept(u32),
+    /// A clique of the tree that was eliminated ahead of time: its place there.
+    Ahead(u32),
 }
 
 /// Whose structure a node has.
@@ -85,11 +88,22 @@ pub(crate) struct System<'a> {
     pub(crate) tree: &'a Tree,
     pub(crate) elimination: Elimination,
     pub(crate) instructions: Instructions,
+    /// Blocks that stand for those of `blocks`.
+    pub(crate) overlay: Option<&'a Overlay>,
+    /// What [`Child::Ahead`] refers to.
+    pub(crate) ahead: &'a Ahead,
     /// Added to each scalar's diagonal of the information matrix, by tangent position.
     pub(crate) damping: Option<&'a [f64]>,
 }
 
 impl<'a> System<'a> {
+    /// `[J₁ … Jₖ | r]` of a factor, column-major.
+    #[inline]
+    pub(crate) fn block(&self, factor: usize) -> &'a [f64] {
+        let overlaid = self.overlay.and_then(|overlay| overlay.get(factor));
+        overlaid.unwrap_or_else(|| self.blocks.get(factor))
+    }
+
     pub(crate) fn structure(&self, node: &'a Node) -> &'a Structure {
         match &node.structure {
             NodeStructure::New(structure) | NodeStructure::Prefix { structure, .. } => structure,
@@ -126,6 +140,8 @@ pub(crate) enum Failure {
     Undetermined { variable: u32 },
     /// Its part of R is not finite.
     Overflow { variable: u32 },
+    /// Something below that was eliminated ahead of time, by Cholesky, has to be eliminated by QR.
+    Ahead,
 }
 
 /// Eliminates all nodes of a job, on several threads where that pays. The arithmetic of a node
@@ -147,6 +163,21 @@ pub(crate) fn eliminate(
     Range { system, job, offset: 0, nodes, kept }.eliminate(workspace)
 }
 
+/// Eliminates a single clique, by Cholesky without recourse to QR if that is the setting; `None` when
+/// that fails.
+pub(crate) fn eliminate_one(
+    system: &System<'_>,
+    structure: &Structure,
+    children: &[(&Structure, &Numeric)],
+    workspace: &mut Workspace,
+) -> Option<Numeric> {
+    let numeric = match system.elimination {
+        Elimination::Cholesky => front::eliminate(system, structure, children, workspace).ok(),
+        Elimination::Qr => rows::eliminate(system, structure, children, workspace).ok(),
+    };
+    numeric.filter(Numeric::has_finite_rhs)
+}
+
 /// A contiguous range of a job's nodes that holds the children of all of its nodes.
 struct Range<'a> {
     system: &'a System<'a>,
@@ -165,12 +196,7 @@ impl<'a> Range<'a> {
                 let numeric = self.eliminate_node(self.offset + i, workspace)?;
                 // Anything else that is not finite reaches a pivot on the way up.
                 let structure = self.structure(Child::Node((self.offset + i) as u32));
-                let last = numeric.layout.columns() - 1;
-                let mut rows = match numeric.is_without_panel() {
-                    true => [].chunks_exact(1),
-                    false => numeric.panel().chunks_exact(numeric.layout.rows()),
-                };
-                if rows.any(|row| !row[last].is_finite()) {
+                if !numeric.has_finite_rhs() {
                     return Err(Failure::Overflow { variable: structure.frontals[0] });
                 }
                 self.nodes[i] = Some(numeric);
@@ -212,7 +238,14 @@ impl<'a> Range<'a> {
         let mut next = 0;
         while next < pending.len() {
             let children = self.children(pending[next]).into_iter();
-            pending.extend(children.filter(|&child| !self.numeric(child).form.is_root()));
+            let children = children.filter(|&child| !self.numeric(child).form.is_root());
+            for child in children {
+                // What was done ahead was done by Cholesky; it is done again without it.
+                if let Child::Ahead(_) = child {
+                    return Err(Failure::Ahead);
+                }
+                pending.push(child);
+            }
             next += 1;
         }
         loop {
@@ -227,6 +260,7 @@ impl<'a> Range<'a> {
                 Child::Kept(clique) => {
                     self.kept.insert(clique, numeric);
                 }
+                Child::Ahead(_) => unreachable!("not among the pending"),
             }
         }
     }
@@ -237,6 +271,7 @@ impl<'a> Range<'a> {
             Child::Kept(clique) => {
                 self.system.tree.clique(clique).children.iter().map(|&c| Child::Kept(c)).collect()
             }
+            Child::Ahead(_) => SmallVec::new(),
         }
     }
 
@@ -244,6 +279,9 @@ impl<'a> Range<'a> {
         match of {
             Child::Node(n) => self.system.structure(&self.job.nodes[n as usize]),
             Child::Kept(clique) => &self.system.tree.clique(clique).structure,
+            Child::Ahead(place) => {
+                &self.system.tree.clique(self.system.ahead.clique(place).0).structure
+            }
         }
     }
 
@@ -255,6 +293,7 @@ impl<'a> Range<'a> {
             Child::Kept(clique) => {
                 self.kept.get(&clique).unwrap_or(&self.system.tree.clique(clique).numeric)
             }
+            Child::Ahead(place) => self.system.ahead.clique(place).1,
         }
     }
 

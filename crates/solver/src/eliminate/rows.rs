@@ -81,7 +81,7 @@ fn place_factor(
 ) -> usize {
     let graph = system.graph;
     let rows = graph.rows_at(factor);
-    let mut source = system.blocks.get(factor).chunks_exact(rows);
+    let mut source = system.block(factor).chunks_exact(rows);
     let starts = graph.variables_at(factor).iter().flat_map(|&v| {
         let place = workspace.place[v as usize];
         (place.start..place.start + place.dim).map(|column| column as usize)

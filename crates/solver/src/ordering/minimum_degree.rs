@@ -18,7 +18,9 @@ pub(super) struct MinimumDegree {
 
 impl MinimumDegree {
     /// Orders `n` variables by minimum degree, `last` (if given) after all others. Ties go to the
-    /// variable whose degree changed most recently, at the start to the one numbered first.
+    /// variable whose degree has not changed for longest, at the start to the one numbered first:
+    /// eliminations spread over the graph and the tree stays shallow (a chain of n variables, which
+    /// the opposite rule would eliminate from one end to the other, has depth O(log n)).
     pub(super) fn order(
         &mut self,
         n: usize,
@@ -40,12 +42,8 @@ impl MinimumDegree {
             }
         }
         buckets.start(n);
-        let fifo = buckets.fifo;
-        for v in 0..n as u32 {
-            let v = if fifo { v } else { n as u32 - 1 - v };
-            if Some(v) != last {
-                buckets.insert(v, count(&rows[v as usize * words..][..words]));
-            }
+        for v in (0..n as u32).filter(|&v| Some(v) != last) {
+            buckets.insert(v, count(&rows[v as usize * words..][..words]));
         }
         elimination.start(n);
         while let Some(v) = buckets.pop_smallest() {
@@ -89,12 +87,11 @@ fn bits(row: &[u64]) -> impl Iterator<Item = u32> {
     })
 }
 
-/// Variables in doubly linked lists by degree; insertion and removal at the head.
+/// Variables in doubly linked lists by degree; they come in at the tail and leave at the head.
 #[derive(Debug, Default)]
 struct Buckets {
-    fifo: bool,
-    tail: Vec<u32>,
     head: Vec<u32>,
+    tail: Vec<u32>,
     next: Vec<u32>,
     previous: Vec<u32>,
     degree: Vec<u32>,
@@ -108,7 +105,6 @@ impl Buckets {
         self.head.resize(n + 1, NONE);
         self.tail.clear();
         self.tail.resize(n + 1, NONE);
-        self.fifo = std::env::var("EG_FIFO").is_ok();
         for list in [&mut self.next, &mut self.previous, &mut self.degree] {
             list.resize(n, NONE);
         }
@@ -117,17 +113,13 @@ impl Buckets {
 
     fn insert(&mut self, v: u32, degree: u32) {
         let d = degree as usize;
-        if self.fifo {
-            let tail = std::mem::replace(&mut self.tail[d], v);
-            self.previous[v as usize] = tail;
-            self.next[v as usize] = NONE;
-            if tail != NONE { self.next[tail as usize] = v; } else { self.head[d] = v; }
-        } else {
-            let head = std::mem::replace(&mut self.head[d], v);
-            self.next[v as usize] = head;
-            self.previous[v as usize] = NONE;
-            if head != NONE { self.previous[head as usize] = v; } else { self.tail[d] = v; }
+        let tail = std::mem::replace(&mut self.tail[d], v);
+        match tail {
+            NONE => self.head[d] = v,
+            tail => self.next[tail as usize] = v,
         }
+        self.previous[v as usize] = tail;
+        self.next[v as usize] = NONE;
         self.degree[v as usize] = degree;
         self.smallest = self.smallest.min(d);
     }
@@ -135,8 +127,14 @@ impl Buckets {
     fn remove(&mut self, v: u32) {
         let d = self.degree[v as usize] as usize;
         let (next, previous) = (self.next[v as usize], self.previous[v as usize]);
-        if next != NONE { self.previous[next as usize] = previous; } else { self.tail[d] = previous; }
-        if previous != NONE { self.next[previous as usize] = next; } else { self.head[d] = next; }
+        match next {
+            NONE => self.tail[d] = previous,
+            next => self.previous[next as usize] = previous,
+        }
+        match previous {
+            NONE => self.head[d] = next,
+            previous => self.next[previous as usize] = next,
+        }
     }
 
     fn move_to(&mut self, v: u32, degree: u32) {

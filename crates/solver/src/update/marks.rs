@@ -9,12 +9,14 @@ pub(crate) enum Mark {
     Detached,
     /// Eliminated again with new numbers, in place.
     InPlace,
+    /// Gets the numbers of an elimination ahead of time.
+    Ahead,
 }
 
 /// Marks by clique slot. Starting over costs nothing.
 #[derive(Debug, Default)]
 pub(crate) struct Marks {
-    /// Twice the round in which the clique was marked, plus one if in place.
+    /// Four times the round in which the clique was marked, plus the mark.
     stamp: Vec<u64>,
     /// First frontal, as a position among the frontals, that is touched.
     first: Vec<u32>,
@@ -41,10 +43,29 @@ impl Marks {
     }
 
     pub(crate) fn get(&self, clique: u32) -> Option<Mark> {
-        match self.stamp[clique as usize].checked_sub(2 * self.round) {
-            Some(0) => Some(Mark::Detached),
-            Some(_) => Some(Mark::InPlace),
+        match self.stamp[clique as usize].checked_sub(4 * self.round) {
             None => None,
+            Some(0) => Some(Mark::Detached),
+            Some(1) => Some(Mark::InPlace),
+            Some(_) => Some(Mark::Ahead),
+        }
+    }
+
+    fn set(&mut self, clique: u32, mark: Mark) {
+        self.stamp[clique as usize] = 4 * self.round + mark as u64;
+    }
+
+    /// Marks an unmarked clique as done ahead; `place` is where.
+    pub(super) fn set_ahead(&mut self, clique: u32, place: u32) {
+        self.set(clique, Mark::Ahead);
+        self.place[clique as usize] = place;
+    }
+
+    /// Marks the ancestors of a clique as [`touch`](Self::touch) does.
+    pub(super) fn touch_above(&mut self, tree: &Tree, clique: u32, mark: Mark) {
+        let parent = tree.clique(clique).parent;
+        if parent != NONE {
+            self.climb(tree, parent, first_of_child(tree, parent, clique), mark);
         }
     }
 
@@ -56,18 +77,21 @@ impl Marks {
     /// Marks the clique of a variable and all of its ancestors. What is marked already keeps its
     /// mark: detach first.
     pub(super) fn touch(&mut self, tree: &Tree, variable: u32, mark: Mark) {
-        let mut clique = tree.clique_of(variable);
+        let clique = tree.clique_of(variable);
         if clique == NONE {
             return;
         }
-        let mut position = position_of(tree, clique, variable);
+        self.climb(tree, clique, position_of(tree, clique, variable), mark);
+    }
+
+    fn climb(&mut self, tree: &Tree, mut clique: u32, mut position: u32, mark: Mark) {
         loop {
             let slot = clique as usize;
             if self.get(clique).is_some() {
                 self.first[slot] = self.first[slot].min(position);
                 return;
             }
-            self.stamp[slot] = 2 * self.round + u64::from(mark == Mark::InPlace);
+            self.set(clique, mark);
             self.first[slot] = position;
             self.cost += tree.clique(clique).structure.cost();
             let parent = tree.clique(clique).parent;
@@ -84,7 +108,7 @@ impl Marks {
     /// Marks every clique.
     pub(super) fn touch_all(&mut self, tree: &Tree, mark: Mark) {
         for clique in tree.indices() {
-            self.stamp[clique as usize] = 2 * self.round + u64::from(mark == Mark::InPlace);
+            self.set(clique, mark);
             self.first[clique as usize] = 0;
         }
         self.roots.extend(tree.roots.iter().copied());

@@ -5,8 +5,9 @@ mod marks;
 mod plan;
 
 use crate::ordering::{Groups, Orderer};
+use crate::relinearize::Ahead;
 use crate::symbolic::Cliques;
-use crate::tree::{Form, Structure, Tree};
+use crate::tree::{Form, NONE, Structure, Tree};
 use evergraph_model::{Graph, Staged};
 use marks::first_of_child;
 use marks::{Mark, Marks};
@@ -31,6 +32,8 @@ pub(crate) struct Planner {
     splits: Vec<Split>,
     /// Subtrees that stay, as they are or with new numbers, below what is taken out.
     pub(crate) orphans: Vec<u32>,
+    /// Cliques done ahead of time.
+    ahead: Vec<(u32, u32)>,
     /// Roots that are eliminated again in place.
     roots: Vec<u32>,
     /// Variables to eliminate again, in their old order of elimination, new ones at the end.
@@ -77,16 +80,60 @@ impl Planner {
         }
     }
 
-    /// Marks what changes in place when a variable is relinearized.
-    pub(crate) fn touch_variable(&mut self, graph: &Graph, tree: &Tree, variable: u32) {
+    /// Marks what taking over relinearized variables changes: cliques that were done ahead get
+    /// their numbers, the others are eliminated again in place.
+    pub(crate) fn touch_ahead(&mut self, graph: &Graph, tree: &Tree, ahead: &Ahead) {
+        for (place, clique) in ahead.done(tree) {
+            if self.marks.get(clique).is_none() {
+                self.marks.set_ahead(clique, place);
+                self.ahead.push((place, clique));
+            }
+        }
+        let is_ahead = |marks: &Marks, clique| marks.get(clique) == Some(Mark::Ahead);
+        for &(_, clique) in &self.ahead {
+            let parent = tree.clique(clique).parent;
+            if parent == NONE || !is_ahead(&self.marks, parent) {
+                self.marks.touch_above(tree, clique, Mark::InPlace);
+            }
+        }
+        for variable in ahead.variables(graph) {
+            let clique = tree.clique_of(variable);
+            if clique != NONE && !is_ahead(&self.marks, clique) {
+                self.touch_variable(graph, tree, variable);
+            }
+        }
+    }
+
+    fn touch_variable(&mut self, graph: &Graph, tree: &Tree, variable: u32) {
         for &factor in graph.factors_at(variable as usize) {
             self.touch_factor(graph, tree, factor, Mark::InPlace);
         }
     }
 
-    /// What it costs to eliminate all that is marked, in units of about a nanosecond.
-    pub(crate) fn cost(&self) -> f64 {
-        self.marks.cost
+    /// The cliques that relinearizing `variables` changes, children before parents, and what it
+    /// costs to eliminate them, in units of about a nanosecond.
+    pub(crate) fn changed_by(
+        &mut self,
+        graph: &Graph,
+        tree: &Tree,
+        variables: &[u32],
+    ) -> (&[u32], f64) {
+        self.start(tree);
+        for &variable in variables {
+            self.touch_variable(graph, tree, variable);
+        }
+        let mut all = Vec::new();
+        for at in 0..self.marks.roots.len() {
+            self.collect_in_place(tree, self.marks.roots[at]);
+            all.append(&mut self.cliques_in_place);
+        }
+        self.cliques_in_place = all;
+        (&self.cliques_in_place, self.marks.cost)
+    }
+
+    /// Cliques that get the numbers of an elimination ahead of time: places there, and slots.
+    pub(crate) fn ahead(&self) -> &[(u32, u32)] {
+        &self.ahead
     }
 
     /// Gathers what is marked, and what a staged change adds and drops.
@@ -121,6 +168,7 @@ impl Planner {
         self.detached.clear();
         self.splits.clear();
         self.orphans.clear();
+        self.ahead.clear();
         self.roots.clear();
         self.variables.clear();
         self.factors.clear();
@@ -165,7 +213,7 @@ impl Planner {
             for &child in &tree.clique(clique).children {
                 match self.marks.get(child) {
                     Some(Mark::Detached) => stack.push(child),
-                    Some(Mark::InPlace) => self.orphans.push(child),
+                    Some(Mark::InPlace | Mark::Ahead) => self.orphans.push(child),
                     None if split > 0 && first_of_child(tree, clique, child) < split as u32 => {}
                     None => self.orphans.push(child),
                 }
@@ -193,6 +241,22 @@ impl Planner {
     /// Detached cliques whose first frontals stay.
     pub(crate) fn splits(&self) -> impl Iterator<Item = u32> {
         self.splits.iter().map(|split| split.clique)
+    }
+
+    /// The cliques below and at `root` that are eliminated again in place, children before
+    /// parents, to `cliques_in_place`.
+    fn collect_in_place(&mut self, tree: &Tree, root: u32) {
+        // Depth first, parents before children; then the other way round.
+        let Self { marks, stack, cliques_in_place: cliques, .. } = self;
+        cliques.clear();
+        stack.clear();
+        stack.push(root);
+        while let Some(clique) = stack.pop() {
+            cliques.push(clique);
+            let children = tree.clique(clique).children.iter().copied();
+            stack.extend(children.filter(|&c| marks.get(c) == Some(Mark::InPlace)));
+        }
+        cliques.reverse();
     }
 
     /// How many of the first frontals of a detached clique stay.

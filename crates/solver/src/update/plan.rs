@@ -4,7 +4,7 @@ use evergraph_model::Graph;
 use smallvec::SmallVec;
 
 use super::Planner;
-use super::marks::first_of_child;
+use super::marks::{Mark, first_of_child};
 use crate::eliminate::{Child, Job, Node, NodeStructure};
 use crate::tree::{NONE, Structure, Tree};
 
@@ -125,6 +125,7 @@ impl Planner {
         let Some(at) = subtree.checked_sub(self.orphans.len()) else {
             let orphan = self.orphans[subtree];
             return match self.marks.get(orphan) {
+                Some(Mark::Ahead) => Child::Ahead(self.marks.place[orphan as usize]),
                 Some(_) => Child::Node(self.push_in_place(tree, orphan, job)),
                 None => Child::Kept(orphan),
             };
@@ -143,22 +144,14 @@ impl Planner {
 
     /// Adds the marked cliques of a subtree, to be eliminated again in place; the node of its root.
     fn push_in_place(&mut self, tree: &Tree, root: u32, job: &mut Job) -> u32 {
-        // Depth first, parents before children; then the other way round.
-        let mut cliques = std::mem::take(&mut self.cliques_in_place);
-        let mut pending = std::mem::take(&mut self.stack);
-        cliques.clear();
-        pending.clear();
-        pending.push(root);
-        while let Some(clique) = pending.pop() {
-            cliques.push(clique);
-            let children = tree.clique(clique).children.iter().copied();
-            pending.extend(children.filter(|&c| self.marks.get(c).is_some()));
-        }
+        self.collect_in_place(tree, root);
+        let cliques = std::mem::take(&mut self.cliques_in_place);
         let mut node = 0;
-        for &clique in cliques.iter().rev() {
+        for &clique in &cliques {
             let children = tree.clique(clique).children.iter();
             let children = children
                 .map(|&child| match self.marks.get(child) {
+                    Some(Mark::Ahead) => Child::Ahead(self.marks.place[child as usize]),
                     Some(_) => Child::Node(self.marks.place[child as usize]),
                     None => Child::Kept(child),
                 })
@@ -166,7 +159,7 @@ impl Planner {
             node = push_node(NodeStructure::Existing(clique), children, job);
             self.marks.place[clique as usize] = node;
         }
-        (self.cliques_in_place, self.stack) = (cliques, pending);
+        self.cliques_in_place = cliques;
         node
     }
 }
