@@ -301,12 +301,15 @@ pub(crate) struct Policy {
     /// A batch to convergence every N steps, besides the rest of the policy
     #[arg(long, value_name = "N")]
     pub relinearize_every: Option<NonZeroU32>,
-    /// How far an estimate may move (m, rad) before its variable is relinearized [default: 0.05]
+    /// How far an estimate may move (m, rad) before its variable is relinearized [default: 0.1]
     #[arg(long, value_name = "X", allow_negative_numbers = true, value_parser = threshold)]
     pub relinearize_threshold: Option<f64>,
     /// Look for what moved far every N steps [default: 10]
     #[arg(long, value_name = "N")]
     pub fluid_every: Option<NonZeroU32>,
+    /// Spread the work of relinearizing over N steps [default: 10]
+    #[arg(long, value_name = "N")]
+    pub relinearize_spread: Option<NonZeroU32>,
 }
 
 fn threshold(text: &str) -> Result<f64, String> {
@@ -330,6 +333,9 @@ impl Policy {
         };
         if let Some(every) = self.relinearize_every {
             policy.batch = Some(every);
+        }
+        if let Some(spread) = self.relinearize_spread {
+            policy.spread = spread;
         }
         let tuned = self.relinearize_threshold.is_some() || self.fluid_every.is_some();
         match &mut policy.fluid {

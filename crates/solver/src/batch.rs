@@ -140,9 +140,9 @@ impl Smoother {
         let (at_estimate, at_points) =
             (self.graph.error(&estimate), self.graph.error(&self.points));
         let start = if at_estimate <= at_points { estimate } else { self.points.clone() };
-        let Scratch { planner, job, .. } = &mut self.scratch;
+        let Scratch { planner, job, workspace, .. } = &mut self.scratch;
         planner.gather_everything(&self.graph, &self.tree);
-        planner.plan(&self.graph, &self.tree, self.newest, job);
+        planner.plan(&self.graph, &self.tree, self.newest, job, &mut workspace.clock);
         // The cliques go into an empty tree; this one is kept in case of failure.
         planner.detached.clear();
         let saved = Saved {
@@ -344,9 +344,9 @@ impl Smoother {
 
     /// Eliminates all cliques again with `damping · diag(JᵀJ)` added.
     fn eliminate_in_place(&mut self, damping: f64) -> Result<(), SmootherError> {
-        let Scratch { planner, job, .. } = &mut self.scratch;
+        let Scratch { planner, job, workspace, .. } = &mut self.scratch;
         planner.gather_all_in_place(&self.graph, &self.tree);
-        planner.plan(&self.graph, &self.tree, self.newest, job);
+        planner.plan(&self.graph, &self.tree, self.newest, job, &mut workspace.clock);
         let added = (damping > 0.0).then(|| {
             let mut diagonal = diagonal(&self.graph, &self.blocks);
             diagonal.iter_mut().for_each(|d| *d *= damping);

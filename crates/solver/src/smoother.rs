@@ -10,6 +10,7 @@ use crate::diagnose;
 use crate::eliminate::{self, Eliminated, Failure, Job, System, Workspace};
 use crate::error::SmootherError;
 use crate::linearization::Blocks;
+use crate::profile::{Phase, Profile};
 use crate::relinearize::{Ahead, Checked};
 use crate::report::Report;
 use crate::settings::Settings;
@@ -156,6 +157,7 @@ impl Smoother {
     /// # Errors
     /// [`SmootherError`]; graph, estimate and factorization are then bit for bit what they were.
     pub fn apply(&mut self, change: Change) -> Result<Report, SmootherError> {
+        self.scratch.workspace.clock.start();
         // 1. Check the change, and add to the graph what it adds.
         let staged = self.graph.stage(&change)?;
         let newest = self.newest_after(&staged);
@@ -181,10 +183,12 @@ impl Smoother {
         report.variables_relinearized = self.scratch.due.len();
         report.smallest_pivot_ratio = self.scratch.eliminated.smallest_pivot_ratio();
         self.install();
+        self.lap(Phase::Install);
         self.commit(staged, &change);
         self.newest = newest;
         self.steps += 1;
         self.at_optimum = false;
+        self.lap(Phase::Stage);
         // 4. Relinearize: go on, or look what has moved.
         self.relinearize(&mut report);
         report.rank = self.graph.dim();
@@ -199,6 +203,20 @@ impl Smoother {
         Ok(report)
     }
 
+    /// Starts to measure where the time of [`apply`](Self::apply) goes, from zero, or stops.
+    pub fn set_profiling(&mut self, on: bool) {
+        self.scratch.workspace.clock.set(on);
+    }
+
+    /// Where the time has gone since profiling was switched on.
+    pub fn profile(&self) -> &Profile {
+        &self.scratch.workspace.clock.profile
+    }
+
+    pub(crate) fn lap(&mut self, phase: Phase) {
+        self.scratch.workspace.clock.lap(phase);
+    }
+
     // --- Steps of `apply` ------------------------------------------------------------------
 
     /// Everything that may fail. On error, points and Jacobians are what they were.
@@ -209,18 +227,22 @@ impl Smoother {
         newest: u32,
         with_due: bool,
     ) -> Result<(), Refusal> {
+        self.lap(Phase::Stage);
         // Mark the cliques that the change touches, and their ancestors, to be detached.
         let moved = change.moves().iter().map(|(v, _)| v.index() as u32);
         self.scratch.planner.touch_change(&self.graph, &self.tree, staged, moved);
         // Mark those of variables that are due, to be eliminated again in place.
         self.choose_due(change, with_due);
+        self.lap(Phase::Detach);
         // Move points and linearize.
         self.scratch.undo.start(self.points.len());
         let result = self.linearize(change, staged).map_err(Refusal::from).and_then(|()| {
+            self.lap(Phase::Linearize);
             // Order the affected variables and build the new cliques.
-            let Scratch { planner, job, .. } = &mut self.scratch;
+            let Scratch { planner, job, workspace, .. } = &mut self.scratch;
             planner.gather_change(&self.graph, &self.tree, staged);
-            planner.plan(&self.graph, &self.tree, newest, job);
+            workspace.clock.lap(Phase::Gather);
+            planner.plan(&self.graph, &self.tree, newest, job, &mut workspace.clock);
             // Eliminate, bottom-up.
             let dropped = (staged.dropped_factors(), staged.dropped_variables());
             self.eliminate(None).map_err(|failure| match failure {

@@ -79,6 +79,7 @@ impl World {
             relinearization: Relinearization {
                 fluid: Some(Fluid { threshold: 0.01, every: every(3) }),
                 sweep: None,
+                spread: every(4),
                 batch: Some(every(23)),
             },
             ..Settings::default()

@@ -7,6 +7,7 @@ use super::assembly::{Assembly, add_contribution, add_factor};
 use super::workspace::Workspace;
 use super::{CHOLESKY_PIVOT, CHOLESKY_PRODUCT, System};
 use crate::dense::{BadPivot, PartialCholesky, PivotBound, SubtractOuter, partial_cholesky};
+use crate::profile::Phase;
 use crate::tree::{Form, Numeric, Structure};
 
 /// Eliminates a clique from its factors and its children's contributions.
@@ -89,13 +90,16 @@ impl WithSimd for Eliminate<'_> {
                 workspace.diagonal[j] += damping[scalar];
             }
         }
+        workspace.clock.lap(Phase::Assemble);
         let (panel, rest) = data.split_at_mut(layout.panel_len());
         let (triangle, diagonal) = rest.split_at_mut(layout.triangle_len());
         diagonal.copy_from_slice(&workspace.diagonal[layout.frontal()..]);
         let bound = PivotBound { ratio: CHOLESKY_PIVOT, product: CHOLESKY_PRODUCT, weakest };
         let front =
             PartialCholesky { layout, panel, triangle, diagonal: &workspace.diagonal, bound };
-        partial_cholesky(simd, front, &mut workspace.square)
+        let ratio = partial_cholesky(simd, front, &mut workspace.square);
+        workspace.clock.lap(Phase::Eliminate);
+        ratio
     }
 }
 
@@ -118,9 +122,11 @@ impl WithSimd for Contribute<'_> {
         workspace.place(system, structure);
         workspace.locate_columns(layout, 0);
         assemble(system, structure, children, layout.frontal(), data, workspace);
+        workspace.clock.lap(Phase::Assemble);
         let (triangle, diagonal) = data.split_at_mut(layout.triangle_len());
         diagonal.copy_from_slice(&workspace.diagonal[layout.frontal()..]);
         SubtractOuter { layout, panel, triangle }.with_simd(simd);
+        workspace.clock.lap(Phase::Eliminate);
     }
 }
 

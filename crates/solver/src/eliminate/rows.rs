@@ -4,6 +4,7 @@
 use super::{Failure, QR_PIVOT, QR_PRODUCT, System};
 use crate::dense::triangularize;
 use crate::eliminate::workspace::{Run, Workspace};
+use crate::profile::Phase;
 use crate::tree::{Form, Numeric, Structure};
 
 /// Eliminates a clique whose children all have square-root contributions.
@@ -56,7 +57,9 @@ pub(super) fn eliminate(
     }
     triangularize(&mut workspace.square[..m * n], m, n);
     let weakest = children.iter().map(|(_, numeric)| numeric.weakest).fold(1.0, f64::min);
-    collect(system, structure, m, weakest, workspace)
+    let numeric = collect(system, structure, m, weakest, workspace);
+    workspace.clock.lap(Phase::Eliminate);
+    numeric
 }
 
 /// A child's square-root contribution: rows and data.

@@ -3,6 +3,7 @@
 use super::System;
 use crate::dense::FrontLayout;
 use crate::pool::Pool;
+use crate::profile::Clock;
 use crate::tree::Structure;
 
 /// Where a variable stands in the current front.
@@ -27,6 +28,7 @@ pub(super) struct Run {
 #[derive(Debug, Default)]
 pub(crate) struct Workspace {
     pub(crate) pool: Pool,
+    pub(crate) clock: Clock,
     /// By variable slot. Entries of other fronts are left in place and never read.
     pub(super) place: Vec<Place>,
     /// By column of the front: what a row's number is added to, to find the entry.

@@ -13,6 +13,7 @@ use smallvec::SmallVec;
 use crate::eliminate::{self, System, Workspace};
 use crate::linearization::{Blocks, Overlay};
 use crate::pool::Pool;
+use crate::profile::Phase;
 use crate::solve;
 use crate::tree::{NONE, Numeric, Structure, Tree};
 
@@ -114,11 +115,15 @@ impl Ahead {
     ) {
         let mut left = self.slice;
         while left > 0.0 && self.is_active() && !self.is_ready() {
-            left -= if self.linearized < self.factors.len() {
-                self.linearize_next(system.graph, points)
+            if self.linearized < self.factors.len() {
+                left -= self.linearize_next(system.graph, points);
+                // One lap for all of them, before the first elimination.
+                if left <= 0.0 || self.linearized == self.factors.len() {
+                    workspace.clock.lap(Phase::Linearize);
+                }
             } else {
-                self.eliminate_next(system, workspace)
-            };
+                left -= self.eliminate_next(system, workspace);
+            }
         }
     }
 

@@ -8,6 +8,7 @@ use tracing::debug;
 use crate::batch::{BatchReport, BatchSettings};
 use crate::eliminate::System;
 use crate::error::SmootherError;
+use crate::profile::Phase;
 use crate::report::Report;
 use crate::settings::Fluid;
 use crate::smoother::{Refusal, Scratch, Smoother};
@@ -90,6 +91,7 @@ impl Smoother {
         let instructions = self.scratch.instructions;
         self.solution.refresh(instructions, &self.graph, &mut self.tree, pass);
         let moved = self.solution.moved_beyond(&self.graph, check.threshold, smallest);
+        self.lap(Phase::Solve);
         if moved.is_empty() {
             return;
         }
@@ -103,6 +105,7 @@ impl Smoother {
         );
         let now = (&self.graph, &self.tree, &*self.points);
         self.ahead.start(now, &self.solution, &moved, cliques, policy.spread.get());
+        self.lap(Phase::Detach);
     }
 
     /// Does a slice of the relinearization in progress.

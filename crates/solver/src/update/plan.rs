@@ -6,11 +6,19 @@ use smallvec::SmallVec;
 use super::Planner;
 use super::marks::{Mark, first_of_child};
 use crate::eliminate::{Child, Job, Node, NodeStructure};
+use crate::profile::{Clock, Phase};
 use crate::tree::{NONE, Structure, Tree};
 
 impl Planner {
     /// Fills `job` with the cliques to eliminate. `last` is eliminated last if it is affected.
-    pub(crate) fn plan(&mut self, graph: &Graph, tree: &Tree, last: u32, job: &mut Job) {
+    pub(crate) fn plan(
+        &mut self,
+        graph: &Graph,
+        tree: &Tree,
+        last: u32,
+        job: &mut Job,
+        clock: &mut Clock,
+    ) {
         job.nodes.clear();
         for at in 0..self.roots.len() {
             self.push_in_place(tree, self.roots[at], job);
@@ -19,6 +27,8 @@ impl Planner {
             return;
         }
         self.order(graph, tree, last);
+        clock.lap(Phase::Order);
+        self.cliques.build(&self.orderer.elimination);
         self.hang(tree);
         let count = self.cliques.cliques.len();
         self.node_of.clear();
@@ -37,9 +47,10 @@ impl Planner {
                 structure.factors.push(factor);
             }
         }
+        clock.lap(Phase::Symbolic);
     }
 
-    /// Orders the affected variables and groups them into cliques.
+    /// Orders the affected variables.
     fn order(&mut self, graph: &Graph, tree: &Tree, last: u32) {
         let Self { local, groups, .. } = self;
         if local.len() < graph.variable_slots() {
@@ -62,7 +73,6 @@ impl Planner {
         // The newest variable has the highest local number unless it is an old one.
         let last = self.variables.iter().rposition(|&v| v == last).map(|i| i as u32);
         self.orderer.order(self.variables.len(), groups, last);
-        self.cliques.build(&self.orderer.elimination);
     }
 
     /// Hangs each subtree that stays at the new clique of its separator's first variable.
