@@ -54,6 +54,7 @@ impl World {
                 sweep: None,
                 spread: every(4),
                 batch: Some(every(17)),
+                background: None,
             },
             ..Settings::default()
         };

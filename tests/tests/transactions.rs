@@ -367,6 +367,7 @@ fn a_fine_sweep_sees_what_a_coarse_check_left() {
         sweep: Some(Fluid { threshold: 1e-6, every: every(5) }),
         spread: every(1),
         batch: None,
+        background: None,
     };
     let mut smoother = Smoother::new(Settings { relinearization, ..Settings::default() }).unwrap();
     let mut change = smoother.change();

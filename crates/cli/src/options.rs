@@ -281,12 +281,14 @@ impl Solving {
 /// Which relinearization policy to start from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum PolicyName {
-    /// What moved far every 10 steps, what moved at all every 100
+    /// What moved far every 10 steps, what moved at all every 100, spread over 10
     Both,
     /// A batch to convergence every 100 steps
     Every,
     /// Only what moved far, every 10 steps
     Fluid,
+    /// A batch to convergence every 50 steps on another thread, taken over 25 steps later
+    Background,
     /// Linearization points stay at the start values
     Never,
 }
@@ -329,6 +331,7 @@ impl Policy {
             PolicyName::Both => Relinearization::BOTH,
             PolicyName::Every => Relinearization::every(BATCH_EVERY),
             PolicyName::Fluid => Relinearization::FLUID,
+            PolicyName::Background => Relinearization::BACKGROUND,
             PolicyName::Never => Relinearization::NEVER,
         };
         if let Some(every) = self.relinearize_every {

@@ -165,6 +165,7 @@ impl Smoother {
                 self.solution = solve::State::default();
                 self.solution.resize(&self.graph);
                 self.ahead.clear(&mut self.scratch.workspace.pool);
+                self.background = None;
                 self.at_optimum = true;
             }
             Err(_) => {

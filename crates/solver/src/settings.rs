@@ -41,6 +41,10 @@ pub struct Relinearization {
     /// Every so many changes all variables are relinearized and solved until convergence. Exact,
     /// and the slowest step by far; iSAM uses 100, the GLC paper 50.
     pub batch: Option<NonZeroU32>,
+    /// The batch step is made on another thread, from a snapshot, and taken over so many changes
+    /// later, the changes since applied to it: no step pays for it. When the thread is late that
+    /// step waits, so that results do not depend on timing. None: within the step.
+    pub background: Option<NonZeroU32>,
 }
 
 const fn interval(n: u32) -> NonZeroU32 {
@@ -58,9 +62,14 @@ impl Relinearization {
         sweep: Some(Fluid { threshold: 0.02, every: interval(100) }),
         spread: interval(10),
         batch: None,
+        background: None,
     };
     /// Only the frequent check of [`BOTH`](Self::BOTH).
     pub const FLUID: Self = Self { sweep: None, ..Self::BOTH };
+    /// A batch step to convergence every 50 changes, in the background, taken over 25 changes
+    /// later. Wants a second core.
+    pub const BACKGROUND: Self =
+        Self { batch: Some(interval(50)), background: Some(interval(25)), ..Self::NEVER };
     /// Linearization points stay at the initial values.
     pub const NEVER: Self = Self { fluid: None, ..Self::FLUID };
 

@@ -11,7 +11,7 @@ use crate::eliminate::{self, Eliminated, Failure, Job, System, Workspace};
 use crate::error::SmootherError;
 use crate::linearization::Blocks;
 use crate::profile::{Phase, Profile};
-use crate::relinearize::{Ahead, Checked};
+use crate::relinearize::{Ahead, Background, Checked};
 use crate::report::Report;
 use crate::settings::Settings;
 use crate::solve;
@@ -37,6 +37,8 @@ pub struct Smoother {
     /// Relinearization in progress.
     pub(crate) ahead: Ahead,
     pub(crate) checked: Checked,
+    /// A batch step on another thread.
+    pub(crate) background: Option<Background>,
     /// Slot of the variable that is eliminated last.
     pub(crate) newest: u32,
     /// Changes applied.
@@ -128,7 +130,12 @@ impl Smoother {
                 })?,
             )),
         };
-        Ok(Self {
+        let instructions = Instructions::select()?;
+        Ok(Self::empty(settings, Scratch::new(instructions, pool)))
+    }
+
+    fn empty(settings: Settings, scratch: Scratch) -> Self {
+        Self {
             settings,
             graph: Graph::new(),
             points: Vec::new(),
@@ -137,11 +144,36 @@ impl Smoother {
             solution: solve::State::default(),
             ahead: Ahead::default(),
             checked: Checked::default(),
+            background: None,
             newest: NONE,
             steps: 0,
             at_optimum: false,
-            scratch: Scratch::new(Instructions::select()?, pool),
-        })
+            scratch,
+        }
+    }
+
+    /// A smoother with all of a graph, linearized at `points`, on one thread.
+    pub(crate) fn from_graph(
+        settings: Settings,
+        graph: Graph,
+        points: Vec<f64>,
+        newest: u32,
+        instructions: Instructions,
+    ) -> Result<Self, SmootherError> {
+        let mut smoother = Self::empty(settings, Scratch::new(instructions, None));
+        (smoother.graph, smoother.points, smoother.newest) = (graph, points, newest);
+        for factor in smoother.graph.factor_indices() {
+            if !smoother.blocks.insert(&smoother.graph, factor, &smoother.points) {
+                return Err(smoother.non_finite(factor));
+            }
+        }
+        smoother.solution.resize(&smoother.graph);
+        let Scratch { planner, job, workspace, .. } = &mut smoother.scratch;
+        planner.gather_graph(&smoother.graph, &smoother.tree);
+        planner.plan(&smoother.graph, &smoother.tree, newest, job, &mut workspace.clock);
+        smoother.eliminate(None).map_err(|failure| smoother.explain(failure, &[], &[]))?;
+        smoother.install();
+        Ok(smoother)
     }
 
     /// An empty change for the graph as it is now.
@@ -190,7 +222,7 @@ impl Smoother {
         self.at_optimum = false;
         self.lap(Phase::Stage);
         // 4. Relinearize: go on, or look what has moved.
-        self.relinearize(&mut report);
+        self.relinearize(change, &mut report);
         report.rank = self.graph.dim();
         trace!(
             step = self.steps,

@@ -81,6 +81,7 @@ impl World {
                 sweep: None,
                 spread: every(4),
                 batch: Some(every(23)),
+                background: None,
             },
             ..Settings::default()
         };

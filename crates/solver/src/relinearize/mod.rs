@@ -1,6 +1,7 @@
 //! Moving linearization points to the estimate, as the policy asks.
 
 mod ahead;
+mod background;
 
 use evergraph_model::Change;
 use tracing::debug;
@@ -14,6 +15,7 @@ use crate::settings::Fluid;
 use crate::smoother::{Refusal, Scratch, Smoother};
 use crate::solve::Pass;
 pub(crate) use ahead::Ahead;
+pub(crate) use background::Background;
 
 /// Between sweeps, δ is passed down the tree where it changes by more than this share of the
 /// threshold.
@@ -58,10 +60,14 @@ impl Smoother {
 
     /// Step 4 of `apply`: goes on with what is in progress, looks for variables that have moved too
     /// far, or takes a batch step, as the policy says.
-    pub(crate) fn relinearize(&mut self, report: &mut Report) {
+    pub(crate) fn relinearize(&mut self, change: Change, report: &mut Report) {
         let policy = self.settings.relinearization;
         let steps = self.steps;
-        if policy.batch.is_some_and(|every| steps.is_multiple_of(u64::from(every.get()))) {
+        if policy.background.is_some() {
+            if self.batch_in_background(change, report) {
+                return;
+            }
+        } else if policy.batch.is_some_and(|every| steps.is_multiple_of(u64::from(every.get()))) {
             return self.batch_step(report);
         }
         if self.ahead.is_active() {

@@ -156,6 +156,13 @@ impl Planner {
         self.gather(graph, tree);
     }
 
+    /// Everything in a graph, for an empty tree.
+    pub(crate) fn gather_graph(&mut self, graph: &Graph, tree: &Tree) {
+        self.start(tree);
+        self.variables.extend(graph.variable_indices().map(|v| v as u32));
+        self.factors.extend(graph.factor_indices().map(|f| f as u32));
+    }
+
     /// Everything, in place.
     pub(crate) fn gather_all_in_place(&mut self, graph: &Graph, tree: &Tree) {
         self.start(tree);
