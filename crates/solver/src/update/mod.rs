@@ -187,12 +187,16 @@ impl Planner {
         }
     }
 
-    /// Marks the clique of a variable that is dropped, and all that have it in their separator: a
-    /// clique may have a variable there that none of the factors below is on.
+    /// Marks the clique of a variable that is dropped, whole, and all that have it in their
+    /// separator: a clique may hold a variable that none of the factors below is on.
     fn touch_separators(&mut self, tree: &Tree, variable: u32) {
-        self.marks.touch(tree, variable, Mark::Detached);
+        let own = tree.clique_of(variable);
+        if own == NONE {
+            return;
+        }
+        self.marks.touch(tree, tree.clique(own).structure.frontals[0], Mark::Detached);
         self.stack.clear();
-        self.stack.push(tree.clique_of(variable));
+        self.stack.push(own);
         while let Some(clique) = self.stack.pop() {
             for &child in &tree.clique(clique).children {
                 let structure = &tree.clique(child).structure;
