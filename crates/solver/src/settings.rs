@@ -35,8 +35,9 @@ pub struct Relinearization {
     pub fluid: Option<Fluid>,
     /// The rare check for what has moved at all.
     pub sweep: Option<Fluid>,
-    /// Over how many changes the work of relinearizing what a check found is spread; 1 does it all
-    /// in the next change. The estimate is that of the old linearization points until all is done.
+    /// Over how many changes the work of relinearizing what a check found is spread, unless it is
+    /// next to nothing; 1 does it all in the change that finds it. The estimate is that of the old
+    /// linearization points until all is done.
     pub spread: NonZeroU32,
     /// Every so many changes all variables are relinearized and solved until convergence. Exact,
     /// and the slowest step by far; iSAM uses 100, the GLC paper 50.

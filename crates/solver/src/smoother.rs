@@ -252,7 +252,7 @@ impl Smoother {
     // --- Steps of `apply` ------------------------------------------------------------------
 
     /// Everything that may fail. On error, points and Jacobians are what they were.
-    fn eliminate_change(
+    pub(crate) fn eliminate_change(
         &mut self,
         change: &Change,
         staged: &Staged,
@@ -380,7 +380,7 @@ impl Smoother {
         }
     }
 
-    fn commit(&mut self, staged: Staged, change: &Change) {
+    pub(crate) fn commit(&mut self, staged: Staged, change: &Change) {
         for &factor in staged.dropped_factors() {
             self.blocks.remove(factor as usize);
         }

@@ -164,6 +164,7 @@ pub(crate) struct State {
     /// than once or no longer; see [`State::moved_beyond`].
     far: Vec<u32>,
     seen: Vec<bool>,
+    stack: Vec<u32>,
     scratch: Vec<f64>,
 }
 
@@ -211,7 +212,9 @@ impl State {
         pass: Pass,
     ) {
         self.clock += 1;
-        let mut stack: Vec<u32> = tree.roots.iter().copied().collect();
+        let mut stack = std::mem::take(&mut self.stack);
+        stack.clear();
+        stack.extend(tree.roots.iter().copied());
         while let Some(index) = stack.pop() {
             let clique = tree.clique(index);
             let moved = |v: &u32| {
@@ -232,6 +235,7 @@ impl State {
                 tree.clique_mut(index).unfinished = false;
             }
         }
+        self.stack = stack;
     }
 
     /// Solves a clique; whether something has changed that is too small to be passed on.

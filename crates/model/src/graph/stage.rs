@@ -14,8 +14,8 @@ use crate::key::FactorId;
 #[derive(Debug)]
 #[must_use = "a staged change is committed or unstaged"]
 pub struct Staged {
-    new_variables: Vec<(u32, bool, u32, u32)>,
-    new_factors: Vec<(u32, bool)>,
+    new_variables: SmallVec<[(u32, bool, u32, u32); 4]>,
+    new_factors: SmallVec<[(u32, bool); 8]>,
     drop_factors: Vec<u32>,
     drop_variables: Vec<u32>,
     moved: Vec<u32>,
@@ -54,8 +54,8 @@ impl Graph {
         self.check_drops(change)?;
         self.check_size(change)?;
         let mut staged = Staged {
-            new_variables: Vec::with_capacity(change.new_variables.len()),
-            new_factors: Vec::with_capacity(change.new_factors.len()),
+            new_variables: SmallVec::new(),
+            new_factors: SmallVec::new(),
             drop_factors: sorted(change.drop_factors.iter().map(|f| f.index)),
             drop_variables: sorted(change.drop_variables.iter().map(|v| v.index)),
             moved: change.moves.iter().map(|(v, _)| v.index).collect(),

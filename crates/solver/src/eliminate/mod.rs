@@ -234,7 +234,7 @@ impl<'a> Range<'a> {
         workspace: &mut Workspace,
     ) -> Result<Numeric, Failure> {
         // What has to be eliminated again, parents before children; done in reverse.
-        let mut pending = vec![Child::Node(node as u32)];
+        let mut pending: SmallVec<[Child; 8]> = SmallVec::from_slice(&[Child::Node(node as u32)]);
         let mut next = 0;
         while next < pending.len() {
             let children = self.children(pending[next]).into_iter();

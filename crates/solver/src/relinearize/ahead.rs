@@ -65,8 +65,8 @@ impl Ahead {
     }
 
     /// Begins to move the points of `variables` by their δ. `cliques` are those that this changes,
-    /// children before parents, and `cost` what they cost; the work takes about `spread` steps, or
-    /// is left to the step that takes it over if that is one.
+    /// children before parents, and `cost` what they cost. Returns the work, which takes about
+    /// `spread` steps.
     pub(crate) fn start(
         &mut self,
         (graph, tree, points): (&Graph, &Tree, &[f64]),
@@ -74,7 +74,7 @@ impl Ahead {
         variables: &[u32],
         (cliques, cost): (&[u32], f64),
         spread: u32,
-    ) {
+    ) -> f64 {
         self.place_of_variable.resize(graph.variable_slots(), NONE);
         for &v in variables {
             self.variables.push(graph.variable_id(v as usize));
@@ -83,10 +83,6 @@ impl Ahead {
             let start = self.points.len();
             self.points.resize(start + range.len(), 0.0);
             solution.moved(graph, v as usize, &points[range], &mut self.points[start..]);
-        }
-        self.direct = spread == 1;
-        if self.direct {
-            return;
         }
         let mut work = cost;
         for &v in variables {
@@ -104,6 +100,7 @@ impl Ahead {
             let birth = tree.clique(index).birth;
             self.cliques.push(Clique { index, birth, numeric: None });
         }
+        work
     }
 
     /// Does a slice of the work.

@@ -21,6 +21,9 @@ pub(crate) use background::Background;
 /// threshold.
 const COARSE_SHARE: f64 = 0.4;
 
+/// Work up to this, in units of about a nanosecond, is not worth spreading.
+const AT_ONCE: f64 = 1e5;
+
 /// The steps of the last checks.
 #[derive(Clone, Copy, Debug, Default, Hash)]
 pub(crate) struct Checked {
@@ -110,8 +113,30 @@ impl Smoother {
             "relinearization begins"
         );
         let now = (&self.graph, &self.tree, &*self.points);
-        self.ahead.start(now, &self.solution, &moved, cliques, policy.spread.get());
+        let work = self.ahead.start(now, &self.solution, &moved, cliques, policy.spread.get());
         self.lap(Phase::Detach);
+        if policy.spread.get() == 1 || work <= AT_ONCE {
+            self.relinearize_at_once(report);
+        }
+    }
+
+    /// Moves the points that are about to move, as a change that does nothing else would.
+    fn relinearize_at_once(&mut self, report: &mut Report) {
+        self.ahead.make_direct();
+        let nothing = self.graph.change();
+        let Ok(staged) = self.graph.stage(&nothing) else { return };
+        match self.eliminate_change(&nothing, &staged, self.newest, true) {
+            Ok(()) => {
+                report.variables_relinearized += self.scratch.due.len();
+                report.cliques_eliminated += self.scratch.job.nodes.len();
+                self.install();
+                self.commit(staged, &nothing);
+            }
+            Err(refusal) => {
+                self.graph.unstage(staged);
+                report.relinearization_refused = self.set_aside(Some(refusal));
+            }
+        }
     }
 
     /// Does a slice of the relinearization in progress.
