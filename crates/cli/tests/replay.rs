@@ -24,7 +24,7 @@ fn samples_end_at_their_optima() {
         folder.run(&format!("replay {} --report out.json", sample(name))).done();
         let report = folder.json("out.json");
         let error = number(&report, "error");
-        assert!(error > optimum - 1e-6 && error < optimum * (1.0 + 1e-5), "{name}: {error}");
+        assert!(error > optimum - 1e-6 && error < optimum * (1.0 + 1e-4), "{name}: {error}");
         assert_eq!(report["status"], "converged");
         assert_eq!(number(&report, "chi2"), 2.0 * error);
     }
@@ -95,7 +95,9 @@ fn steps_are_listed() {
     folder.run("replay square.g2o --steps steps.csv --step-errors --report out.json").done();
     let text = folder.read("steps.csv");
     let last: f64 = text.lines().last().unwrap().rsplit(',').next().unwrap().parse().unwrap();
-    assert_eq!(last, number(&folder.json("out.json"), "error"));
+    // Summed by two routes: equal but for rounding.
+    let error = number(&folder.json("out.json"), "error");
+    assert!((last - error).abs() <= 1e-11 * error, "{last} {error}");
     assert!(text.lines().nth(4).unwrap().contains(",loop,"));
     // The first pose has no measurements, whose sum is 0 and not -0.
     assert!(text.lines().nth(1).unwrap().ends_with(",0"), "{text}");
