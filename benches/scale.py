@@ -11,7 +11,8 @@ the default. Then a batch of the whole city, and what the program takes to only 
 
 A replay that takes longer than --limit is ended, and counts with the steps that it got to. Where steps
 are summed up, they are those of the second half: of a run to n poses, while the graph held n/2 to n.
---max 1000000 takes some 200 MB of disk below --folder (default: a temporary folder) and 4 GB of memory.
+A city of a million poses takes some 25 GB of memory, the trail 3 GB and 200 MB of disk (below --folder;
+by default in a temporary one).
 """
 import argparse
 import csv
@@ -226,15 +227,16 @@ def milliseconds(exponent):
     )
 
 
-def curve(axes, left, points, color, dashes, size):
-    points = sorted(point for point in points if point[1] > 0)
-    if not points:
-        return []
-    places = [(axes.x(x, left), axes.y(y)) for x, y in points]
-    path = " ".join(f"{'L' if i else 'M'}{x:.1f} {y:.1f}" for i, (x, y) in enumerate(places))
+def curve(axes, left, points, color, dashes):
+    """A line through what was measured whole; what was ended early is a circle beside it."""
+    line, marks = [], []
+    for x, y, is_whole in sorted(points):
+        x, y = axes.x(x, left), axes.y(y)
+        line += [f"{'L' if line else 'M'}{x:.1f} {y:.1f}"] * is_whole
+        fill = color if is_whole else "white"
+        marks.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{fill}" stroke="{color}"/>')
     dash = f' stroke-dasharray="{dashes}"' if dashes else ""
-    lines = [f'<path d="{path}" fill="none" stroke="{color}" stroke-width="2"{dash}/>']
-    return lines + [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{size}" fill="{color}"/>' for x, y in places]
+    return [f'<path d="{" ".join(line)}" fill="none" stroke="{color}" stroke-width="2"{dash}/>', *marks] if line else marks
 
 
 def picture(runs, batches):
@@ -250,12 +252,15 @@ def picture(runs, batches):
                 # A percentile of a handful says nothing.
                 for name, q, least in (("median", 0.5, 20), ("p99", 0.99, 200)):
                     if len(values) >= least:
-                        curves.setdefault((panel, kind, name), []).append((run.reached, quantile(values, q)))
+                        curves.setdefault((panel, kind, name), []).append(
+                            (run.reached, quantile(values, q), run.report is not None)
+                        )
     for (world, poses), (seconds, _) in batches.items():
-        if world == "city" and not math.isnan(seconds):
-            curves.setdefault((0, "batch", "linearization"), []).append((poses, 1e3 * seconds))
+        # So short that noise has made a difference of less than nothing of it, or no difference at all.
+        if world == "city" and seconds > 0:
+            curves.setdefault((0, "batch", "linearization"), []).append((poses, 1e3 * seconds, True))
     points = [point for some in curves.values() for point in some]
-    axes = Axes([x for x, _ in points], [y for _, y in points])
+    axes = Axes([point[0] for point in points], [point[1] for point in points])
     width = LEFT + len(panels) * (PANEL + GAP)
     height = TOP + HEIGHT + 105
     out = [
@@ -283,16 +288,18 @@ def picture(runs, batches):
         for (at, kind, name), some in curves.items():
             if at == panel:
                 dashes = {"median": "", "p99": "6 4"}.get(name, "2 3")
-                out += curve(axes, left, some, COLORS[kind], dashes, 3.5)
+                out += curve(axes, left, some, COLORS[kind], dashes)
     entries = [("exploration, median", "explore", ""), ("exploration, p99", "explore", "6 4")]
     entries += [("loop closure, median", "loop", ""), ("loop closure, p99", "loop", "6 4")]
-    entries += [("batch, one linearization", "batch", "2 3")]
+    entries += [("batch, one linearization", "batch", "2 3"), ("ended early", None, "")]
     y = TOP + HEIGHT + 78
     for at, (words, kind, dashes) in enumerate(entries):
         x = LEFT + at * (width - LEFT - GAP) / len(entries)
         dash = f' stroke-dasharray="{dashes}"' if dashes else ""
-        out.append(f'<path d="M{x:.1f} {y}h36" stroke="{COLORS[kind]}" stroke-width="2"{dash}/>')
-        out.append(f'<circle cx="{x + 18:.1f}" cy="{y}" r="3.5" fill="{COLORS[kind]}"/>')
+        if kind:
+            out.append(f'<path d="M{x:.1f} {y}h36" stroke="{COLORS[kind]}" stroke-width="2"{dash}/>')
+        fill, line = (COLORS[kind],) * 2 if kind else ("white", "#666")
+        out.append(f'<circle cx="{x + 18:.1f}" cy="{y}" r="3.5" fill="{fill}" stroke="{line}"/>')
         out.append(text(x + 44, y + 4, words, 13, "start"))
     with open(PICTURE, "w") as file:
         file.write("\n".join([*out, "</svg>", ""]))
