@@ -10,12 +10,13 @@ use pulp::{Simd, WithSimd};
 use crate::dense::Instructions;
 use crate::tree::{Clique, Numeric, Tree};
 
-/// Solves one clique for its frontals, given a way to read the separator's δ.
-/// `out` has `frontal_dim` entries. O(frontal · front).
+/// Solves one clique for its frontal scalars from `first` on, given a way to read the separator's δ;
+/// they are left in `scratch`, with zeros before them. O(frontal · front).
 fn solve_clique(
     instructions: Instructions,
     graph: &Graph,
     clique: &Clique,
+    first: usize,
     scratch: &mut Vec<f64>,
     read: impl Fn(u32, &mut [f64]),
 ) {
@@ -31,7 +32,7 @@ fn solve_clique(
     }
     // The right-hand side is the last entry of a row: it joins the sum with coefficient 1.
     scratch[n - 1] = 1.0;
-    let op = BackSubstitute { numeric: &clique.numeric, solution: scratch };
+    let op = BackSubstitute { numeric: &clique.numeric, first, solution: scratch };
     instructions.dispatch(layout, op);
     scratch.truncate(frontal);
 }
@@ -39,6 +40,7 @@ fn solve_clique(
 /// Solves `R_ff δ_f = −d − R_fs δ_s`; the solution has δ_s and 1 behind the frontal part.
 struct BackSubstitute<'a> {
     numeric: &'a Numeric,
+    first: usize,
     solution: &'a mut [f64],
 }
 
@@ -47,8 +49,8 @@ impl WithSimd for BackSubstitute<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { numeric, solution } = self;
-        for j in (0..numeric.layout.frontal()).rev() {
+        let Self { numeric, first, solution } = self;
+        for j in (first..numeric.layout.frontal()).rev() {
             let row = numeric.row(j);
             solution[j] = -dot(simd, &row[1..], &solution[j + 1..]) / row[0];
         }
@@ -82,7 +84,7 @@ pub(crate) fn all(instructions: Instructions, graph: &Graph, tree: &Tree) -> Vec
     let mut scratch = Vec::new();
     for index in tree.top_down() {
         let clique = tree.clique(index);
-        solve_clique(instructions, graph, clique, &mut scratch, |v, out| {
+        solve_clique(instructions, graph, clique, 0, &mut scratch, |v, out| {
             out.copy_from_slice(&delta[graph.tangent_range(v as usize)]);
         });
         let mut at = 0;
@@ -111,7 +113,11 @@ pub(crate) fn path(
     let mut solved: Vec<Vec<f64>> = Vec::with_capacity(path.len());
     for &index in &path {
         let mut scratch = Vec::new();
-        solve_clique(instructions, graph, tree.clique(index), &mut scratch, |v, out| {
+        let clique = tree.clique(index);
+        // Of the variable's own clique only what is solved before it: of the newest, itself.
+        let is_own = index == path[path.len() - 1];
+        let first = if is_own { offset_of(graph, clique, variable) } else { 0 };
+        solve_clique(instructions, graph, clique, first, &mut scratch, |v, out| {
             let owner = tree.clique_of(v);
             let place = places
                 .binary_search_by_key(&owner, |p| p.0)
@@ -136,15 +142,14 @@ fn frontal_part<'a>(
     solution: &'a [f64],
     variable: u32,
 ) -> &'a [f64] {
-    let mut at = 0;
-    for &v in &clique.structure.frontals {
-        let dim = graph.dim_at(v as usize);
-        if v == variable {
-            return &solution[at..at + dim];
-        }
-        at += dim;
-    }
-    unreachable!("the clique eliminates the variable")
+    let start = offset_of(graph, clique, variable);
+    &solution[start..start + graph.dim_at(variable as usize)]
+}
+
+/// Where a frontal variable's scalars begin among those of its clique.
+fn offset_of(graph: &Graph, clique: &Clique, variable: u32) -> usize {
+    let before = clique.structure.frontals.iter().take_while(|&&v| v != variable);
+    before.map(|&v| graph.dim_at(v as usize)).sum()
 }
 
 /// δ kept between updates, and when each variable's last moved.
@@ -247,7 +252,7 @@ impl State {
         pass: Pass,
     ) -> bool {
         let mut scratch = std::mem::take(&mut self.scratch);
-        solve_clique(instructions, graph, clique, &mut scratch, |v, out| {
+        solve_clique(instructions, graph, clique, 0, &mut scratch, |v, out| {
             out.copy_from_slice(&self.delta[graph.tangent_range(v as usize)]);
         });
         let mut has_small = false;

@@ -49,8 +49,10 @@ pub(crate) struct Ahead {
     direct: bool,
 }
 
-/// Steps get at least this much to do.
+/// Steps get at least this much to do ...
 const SMALLEST_SLICE: f64 = 1e5;
+/// ... and no more than this: the work of large graphs takes more steps.
+const LARGEST_SLICE: f64 = 1e6;
 
 impl Ahead {
     /// Whether there is work in progress, or done.
@@ -93,7 +95,7 @@ impl Ahead {
                 }
             }
         }
-        self.slice = (work / f64::from(spread)).max(SMALLEST_SLICE);
+        self.slice = (work / f64::from(spread)).clamp(SMALLEST_SLICE, LARGEST_SLICE);
         self.place_of_clique.resize(tree.slots(), NONE);
         for &index in cliques {
             self.place_of_clique[index as usize] = self.cliques.len() as u32;
