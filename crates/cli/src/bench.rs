@@ -15,7 +15,7 @@ use crate::error::Error;
 use crate::options::{Common, Policy, Reading, Solving, StartFrom};
 use crate::output::Output;
 use crate::replay::{unsolvable, warn_of_landmarks};
-use crate::report::{self, SCHEMA, Times, median};
+use crate::report::{self, SCHEMA, Times};
 use crate::table::{CONVENTION, Columns, Rows, milliseconds, number};
 
 const EXAMPLES: &str = "\
@@ -26,9 +26,10 @@ Examples:
   evergraph bench sphere2500.g2o --batch
 
 Each repeat does the work twice: first without a look at the clock inside of an update, for the times
-of the steps, then with it, for the profile. All figures are medians over the repeats. What is outside
-the phases of a replay is the newest pose's estimate after each step and the clock itself. While other
-threads work, the phase that waits for them goes on: with --threads 1 each phase has its own work.";
+of the steps, then with it, for the profile. Times are medians over the repeats; the profile is that of
+the repeat with the median time, so that its parts are the whole. What is outside the phases of a
+replay is the newest pose's estimate after each step. While other threads work, the phase that waits
+for them goes on: with --threads 1 each phase has its own work.";
 
 /// Measure where the time of a replay or an optimization goes
 #[derive(Args, Debug)]
@@ -214,29 +215,32 @@ impl Measured<'_> {
         Times::median(self.plain.iter().map(|run| run.times))
     }
 
-    /// Milliseconds of the updates with profiling.
-    fn profiled_ms(&self) -> f64 {
-        median(self.profiled.iter().map(|run| ms(run.update())))
+    /// The repeat with the median time: medians of each phase would not add up.
+    fn profile(&self) -> &Run {
+        let mut runs: Vec<&Run> = self.profiled.iter().collect();
+        runs.sort_by_key(|run| run.update());
+        runs[(runs.len() - 1) / 2]
     }
 
-    fn part(&self, phase: &'static str, of: impl Fn(&Run) -> Duration) -> Part {
-        let ms = median(self.profiled.iter().map(|run| ms(of(run))));
-        let whole = self.profiled_ms();
+    fn part(&self, phase: &'static str, time: Duration) -> Part {
+        let run = self.profile();
         Part {
             phase,
-            ms,
-            share: if whole > 0.0 { ms / whole } else { 0.0 },
-            mean_us: 1e3 * ratio(ms, self.last().units()),
+            ms: ms(time),
+            share: time.div_duration_f64(run.update().max(Duration::from_nanos(1))),
+            mean_us: 1e3 * ratio(ms(time), run.units()),
         }
     }
 
     fn phases(&self) -> Vec<Part> {
-        let part = |phase: Phase| self.part(phase.name(), |run| run.profile.time(phase));
+        let profile = self.profile().profile;
+        let part = |phase: Phase| self.part(phase.name(), profile.time(phase));
         Phase::ALL.into_iter().map(part).collect()
     }
 
     fn outside(&self) -> Part {
-        self.part("outside", |run| run.update().saturating_sub(run.profile.total()))
+        let run = self.profile();
+        self.part("outside", run.update().saturating_sub(run.profile.total()))
     }
 
     fn report(&self) -> Result<Value, Error> {
@@ -266,7 +270,7 @@ impl Measured<'_> {
             "cliques_eliminated": run.cliques_eliminated,
             "relinearizations": run.relinearizations,
             "profile": {
-                "update_ms": self.profiled_ms(),
+                "update_ms": ms(self.profile().update()),
                 "phases": self.phases(),
                 "outside": self.outside(),
             },
@@ -284,11 +288,11 @@ impl Measured<'_> {
         let run = self.last();
         let times = self.times();
         let mut rows = Rows::new("data set", &report::file_name(&self.arguments.file));
-        rows.add("repeats", format!("{} (medians)", self.arguments.repeats));
+        rows.add("repeats", self.arguments.repeats);
         rows.add("threads", self.settings.threads);
         rows.add("steps (poses)", run.replayer.poses());
         rows.add("error", number(run.replayer.error()));
-        rows.add("reading", milliseconds(ms(self.reading)));
+        rows.add("reading (once)", milliseconds(ms(self.reading)));
         rows.add("update time", times.update());
         match &run.batch {
             Some(batch) => {
@@ -303,7 +307,7 @@ impl Measured<'_> {
                 rows.add("relinearizations", format!("{} variables", run.relinearizations));
             }
         }
-        rows.add("update time, profiled", milliseconds(self.profiled_ms()));
+        rows.add("update time, profiled", milliseconds(ms(self.profile().update())));
         rows
     }
 

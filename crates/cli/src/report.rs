@@ -92,7 +92,7 @@ impl Times {
 }
 
 /// The median; 0 of nothing.
-pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
+fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut sorted: Vec<f64> = values.collect();
     sorted.sort_by(f64::total_cmp);
     percentile(&sorted, 0.5)

@@ -32,7 +32,7 @@ fn shares(report: &Value) -> (Vec<f64>, f64) {
 fn a_replay_is_profiled_by_phase() {
     let folder = Folder::new();
     let file = sample("manhattan3500.g2o");
-    let line = format!("bench {file} --max-steps 200 --repeats 1 --threads 1 --report out.json");
+    let line = format!("bench {file} --max-steps 200 --repeats 2 --threads 1 --report out.json");
     let ran = folder.run(&line).done();
     for phase in PHASES {
         assert!(ran.out.contains(&format!("│ {phase} ")), "{phase}: {}", ran.out);
@@ -40,13 +40,13 @@ fn a_replay_is_profiled_by_phase() {
     assert!(ran.out.contains("us / step") && ran.out.contains("outside"), "{}", ran.out);
     let report = folder.json("out.json");
     assert_eq!((&report["command"], &report["mode"]), (&"bench".into(), &"replay".into()));
-    assert_eq!((&report["steps"], &report["repeats"]), (&200.into(), &1.into()));
+    assert_eq!((&report["steps"], &report["repeats"]), (&200.into(), &2.into()));
     assert_eq!(report["dataset"], "manhattan3500.g2o");
     assert!(number(&report, "cliques_per_step") >= 1.0);
     for field in ["update_s", "mean_ms", "p50_ms", "p99_ms", "max_ms", "total_s"] {
         assert!(number(&report["time"], field) > 0.0, "{field}");
     }
-    // Of a single repeat the parts are the whole.
+    // The parts are the whole.
     let (phases, outside) = shares(&report);
     let whole: f64 = phases.iter().sum();
     assert!(phases.iter().all(|&share| share > 0.0), "{phases:?}");
