@@ -1,6 +1,7 @@
 //! What the benchmarks share: worlds to replay, without any file.
 
 use evergraph::Replayer;
+use evergraph::factors::{Between, LocalJacobian};
 use evergraph::formats::{Document, ReplayOptions};
 use evergraph::prelude::*;
 use evergraph::simulate::{Grid, Surface};
@@ -34,4 +35,29 @@ pub fn replayed(document: &Document, settings: Settings, steps: usize) -> Replay
         }
     }
     replayer
+}
+
+/// Poses at the same place, all of them measured from each other: a map that is a single clique.
+///
+/// # Panics
+/// Never: the measurements are valid and determine every pose.
+pub fn complete_graph<P, const N: usize>(poses: usize) -> (Smoother, Vec<Key<P>>)
+where
+    P: LieGroup<N> + LocalJacobian,
+{
+    let noise = Noise::isotropic(N, 1.0).expect("a positive sigma");
+    let settings = Settings { relinearization: Relinearization::NEVER, ..Settings::default() };
+    let mut smoother = Smoother::new(settings).expect("valid settings");
+    let mut change = smoother.change();
+    let keys: Vec<Key<P>> = (0..poses).map(|_| change.add_variable(&P::identity())).collect();
+    let prior = Prior::new(keys[0], P::identity(), noise.clone());
+    change.add_factor(prior.expect("a valid measurement"));
+    for (i, &a) in keys.iter().enumerate() {
+        for &b in &keys[i + 1..] {
+            let between = Between::new(a, b, P::identity(), noise.clone());
+            change.add_factor(between.expect("a valid measurement"));
+        }
+    }
+    smoother.apply(change).expect("a prior and edges determine all poses");
+    (smoother, keys)
 }

@@ -1,7 +1,8 @@
-//! The `evergraph` program: replay, optimize, evaluate, inspect, convert and simulate pose graphs.
+//! The `evergraph` program: replay, optimize, evaluate, measure, inspect, convert and simulate pose graphs.
 #![forbid(unsafe_code)]
 
 mod audit;
+mod bench;
 mod completions;
 mod convert;
 mod error;
@@ -50,6 +51,8 @@ enum Command {
     Evaluate(evaluate::Arguments),
     /// Replay a file and compare with the batch optimum along the way
     Audit(audit::Arguments),
+    /// Measure where the time of a replay or an optimization goes
+    Bench(bench::Arguments),
     /// Say what a file holds and what it costs as it stands
     Info(info::Arguments),
     /// Write a file in another format
@@ -68,6 +71,7 @@ impl Command {
             Self::Optimize(arguments) => Some(&arguments.common),
             Self::Evaluate(arguments) => Some(&arguments.common),
             Self::Audit(arguments) => Some(&arguments.common),
+            Self::Bench(arguments) => Some(&arguments.common),
             Self::Info(arguments) => Some(&arguments.common),
             Self::Convert(arguments) => Some(&arguments.common),
             Self::Simulate(arguments) => Some(&arguments.common),
@@ -86,6 +90,7 @@ fn main() -> ExitCode {
         Command::Optimize(arguments) => optimize::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
         Command::Audit(arguments) => audit::run(&arguments),
+        Command::Bench(arguments) => bench::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),

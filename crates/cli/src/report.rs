@@ -64,6 +64,38 @@ impl Times {
             total_s: total.as_secs_f64(),
         }
     }
+
+    /// The medians of each.
+    pub(crate) fn median(runs: impl Iterator<Item = Self> + Clone) -> Self {
+        let of = |field: fn(&Self) -> f64| median(runs.clone().map(|times| field(&times)));
+        Self {
+            update_s: of(|it| it.update_s),
+            mean_ms: of(|it| it.mean_ms),
+            p50_ms: of(|it| it.p50_ms),
+            p99_ms: of(|it| it.p99_ms),
+            max_ms: of(|it| it.max_ms),
+            total_s: of(|it| it.total_s),
+        }
+    }
+
+    /// All updates together, for people.
+    pub(crate) fn update(&self) -> String {
+        milliseconds(1e3 * self.update_s)
+    }
+
+    /// Those of a step, for people.
+    pub(crate) fn steps(&self) -> String {
+        let [mean, p50, p99, max] =
+            [self.mean_ms, self.p50_ms, self.p99_ms, self.max_ms].map(milliseconds);
+        format!("mean {mean}, p50 {p50}, p99 {p99}, max {max}")
+    }
+}
+
+/// The median; 0 of nothing.
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_by(f64::total_cmp);
+    percentile(&sorted, 0.5)
 }
 
 /// By linear interpolation between the closest ranks; 0 for nothing.
@@ -224,11 +256,9 @@ impl Report {
             None => rows.add("gauge prior", "none"),
         }
         let time = self.time;
-        rows.add("update time", milliseconds(1e3 * time.update_s));
+        rows.add("update time", time.update());
         if self.command == "replay" {
-            let [mean, p50, p99, max] =
-                [time.mean_ms, time.p50_ms, time.p99_ms, time.max_ms].map(milliseconds);
-            rows.add("  a step", format!("mean {mean}, p50 {p50}, p99 {p99}, max {max}"));
+            rows.add("  a step", time.steps());
         }
         rows.add("total time", milliseconds(1e3 * time.total_s));
         rows.add("relinearizations", format!("{} variables", self.relinearizations));
@@ -297,5 +327,12 @@ mod tests {
     #[test]
     fn times_of_nothing_are_zero() {
         assert_eq!(Times::of(&[], Duration::ZERO).mean_ms, 0.0);
+    }
+
+    #[test]
+    fn medians_are_of_each_field() {
+        let of = |ms: u64| Times::of(&[Duration::from_millis(ms)], Duration::from_secs(9 - ms));
+        let times = Times::median([1, 5, 3].map(of).into_iter());
+        assert_eq!((times.max_ms, times.total_s), (3.0, 6.0));
     }
 }

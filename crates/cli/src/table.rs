@@ -1,4 +1,4 @@
-//! Tables of a name and a value.
+//! Tables for people.
 
 use comfy_table::{Cell, CellAlignment, Table, presets};
 
@@ -27,6 +27,35 @@ impl Rows {
 }
 
 impl std::fmt::Display for Rows {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// Rows of a name and figures under titles.
+#[derive(Debug)]
+pub(crate) struct Columns(Table);
+
+impl Columns {
+    pub(crate) fn new<const N: usize>(titles: [&str; N]) -> Self {
+        let mut table = Table::new();
+        table.load_style(presets::UTF8_FULL_CONDENSED);
+        table.set_header(titles.iter().enumerate().map(|(at, title)| cell(at, title)));
+        Self(table)
+    }
+
+    pub(crate) fn add<const N: usize>(&mut self, row: [String; N]) {
+        self.0.add_row(row.iter().enumerate().map(|(at, text)| cell(at, text)));
+    }
+}
+
+/// Figures stand under each other.
+fn cell(column: usize, text: &str) -> Cell {
+    let alignment = if column == 0 { CellAlignment::Left } else { CellAlignment::Right };
+    Cell::new(text).set_alignment(alignment)
+}
+
+impl std::fmt::Display for Columns {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         self.0.fmt(f)
     }

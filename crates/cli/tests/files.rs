@@ -187,9 +187,17 @@ fn every_subcommand_has_help_with_examples() {
     let folder = Folder::new();
     let ran = folder.run("--help").done();
     assert!(ran.out.contains("Exit codes"));
-    for command in
-        ["replay", "optimize", "evaluate", "audit", "info", "convert", "simulate", "completions"]
-    {
+    for command in [
+        "replay",
+        "optimize",
+        "evaluate",
+        "audit",
+        "bench",
+        "info",
+        "convert",
+        "simulate",
+        "completions",
+    ] {
         let ran = folder.run(&format!("{command} --help")).done();
         assert!(ran.out.contains(&format!("Examples:\n  evergraph {command}")), "{}", ran.out);
     }

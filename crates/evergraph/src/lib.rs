@@ -83,7 +83,7 @@ pub use evergraph_solver as solver;
 pub use chordal::chordal;
 pub use evergraph_evaluate::{Objective, Start, conventions};
 pub use evergraph_model::{Change, Factor, Graph, Values};
-pub use evergraph_solver::{Report, Settings, Smoother, SmootherError};
+pub use evergraph_solver::{Phase, Profile, Report, Settings, Smoother, SmootherError};
 pub use overview::{Component, Overview};
 pub use replayer::{Replayed, Replayer, ReplayerError};
 
