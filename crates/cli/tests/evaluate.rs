@@ -167,7 +167,8 @@ fn an_audit_compares_along_the_way() {
     let mean = excesses.iter().sum::<f64>() / 3.0;
     assert!((number(&report, "mean_relative_excess") - mean).abs() < 1e-12);
     let worst = excesses.iter().fold(f64::MIN, |a, &b| a.max(b));
-    assert_eq!(number(&report["worst"], "relative_excess"), worst);
+    let reported = number(&report["worst"], "relative_excess");
+    assert!((reported - worst).abs() <= 1e-15, "{reported} {worst}");
     assert_eq!((&report["steps"], &report["every"]), (&250.into(), &100.into()));
 
     // Linearization points that never move leave more to gain.

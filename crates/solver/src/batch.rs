@@ -9,6 +9,7 @@ use tracing::{debug, info};
 
 use crate::error::SmootherError;
 use crate::linearization::Blocks;
+use crate::profile::Phase;
 use crate::quadratic::{
     decrease_of_model, diagonal, gradient, retract_all, scaled_norm, steepest_descent,
     within_radius,
@@ -135,6 +136,7 @@ impl Smoother {
                 gradient_norm: 0.0,
             });
         }
+        self.scratch.workspace.clock.start();
         // Start from the better of the two states that every variable has.
         let estimate = self.estimate_points();
         let (at_estimate, at_points) =
@@ -151,9 +153,11 @@ impl Smoother {
             tree: std::mem::take(&mut self.tree),
             solution: self.solution.clone(),
         };
+        self.lap(Phase::Stage);
         let result = self.relinearize_all().and_then(|()| {
             self.eliminate(None).map_err(|failure| self.explain(failure, &[], &[]))?;
             self.install();
+            self.lap(Phase::Install);
             let initial_error = at_estimate.min(at_points);
             match settings.method {
                 Method::Dogleg => self.dogleg(settings, initial_error),
@@ -208,12 +212,15 @@ impl Smoother {
                     Err(error) => return Err(error),
                 }
             }
+            self.lap(Phase::Install);
             let delta = solve::all(self.scratch.instructions, &self.graph, &self.tree);
+            self.lap(Phase::Solve);
             let trial = retract_all(&self.graph, &self.points, &delta);
             let trial_error = self.graph.error(&trial);
             let promised = decrease_of_model(&self.graph, &self.blocks, &delta);
             let still = is_still(&self.points, &trial);
             let negligible = self.negligible(settings, error);
+            self.lap(Phase::Stage);
             // Written so that NaN is a failure.
             if trial_error.is_finite() && trial_error <= error {
                 let decrease = error - trial_error;
@@ -340,6 +347,7 @@ impl Smoother {
                 return Err(self.non_finite(f));
             }
         }
+        self.lap(Phase::Linearize);
         Ok(())
     }
 

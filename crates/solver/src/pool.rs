@@ -14,19 +14,26 @@ pub(crate) struct Pool {
 const KEPT_SHARE: usize = 1;
 /// ... and this many numbers: enough for the top of any tree.
 const KEPT: usize = 1 << 17;
+/// Numbers in buffers that are made together.
+const BATCH: usize = 1 << 13;
 
 impl Pool {
     /// A buffer of `len` zeros.
     pub(crate) fn take(&mut self, len: usize) -> Vec<f64> {
         let (class, capacity) = class_of(len);
         self.taken += capacity;
-        let mut buffer = match self.classes.get_mut(class).and_then(Vec::pop) {
-            Some(buffer) => {
-                self.free -= capacity;
-                buffer
-            }
-            None => Vec::with_capacity(capacity),
-        };
+        if self.classes.len() <= class {
+            self.classes.resize_with(class + 1, Vec::new);
+        }
+        let buffers = &mut self.classes[class];
+        if buffers.is_empty() {
+            // A growing map keeps what it takes: small buffers are made many at a time.
+            let count = (BATCH / capacity).max(1);
+            buffers.extend((0..count).map(|_| Vec::with_capacity(capacity)));
+            self.free += count * capacity;
+        }
+        let mut buffer = buffers.pop().unwrap_or_default();
+        self.free -= capacity;
         buffer.resize(len, 0.0);
         buffer
     }
@@ -40,11 +47,14 @@ impl Pool {
         let fits = buffer.capacity() == capacity;
         if fits && self.free + capacity <= KEPT + self.taken / KEPT_SHARE {
             buffer.clear();
-            if self.classes.len() <= class {
-                self.classes.resize_with(class + 1, Vec::new);
-            }
             self.free += capacity;
-            self.classes[class].push(buffer);
+            match self.classes.get_mut(class) {
+                Some(buffers) => buffers.push(buffer),
+                None => {
+                    self.classes.resize_with(class + 1, Vec::new);
+                    self.classes[class].push(buffer);
+                }
+            }
         }
     }
 }

@@ -8,7 +8,7 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
-    /// Checking changes, adding to the graph, and committing.
+    /// Checking changes, adding to the graph, and committing; in a batch, trying steps.
     Stage,
     /// Marking the cliques that are touched, and their ancestors.
     Detach,

@@ -225,6 +225,7 @@ impl Source<'_> {
 
 /// Factors `W` columns, whose products with all columns before are subtracted; their diagonal
 /// begins at row `start`.
+#[expect(clippy::needless_range_loop, reason = "triangles read best by their indices")]
 #[inline(always)]
 fn factor_block<S: Simd, const W: usize>(
     simd: S,
