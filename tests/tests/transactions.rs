@@ -388,3 +388,63 @@ fn no_iterations_is_no_step() {
         assert_eq!((report.iterations, report.error), (0, report.initial_error));
     }
 }
+
+/// A pose graph whose start is so bad that a check finds all of it.
+fn bent(relinearization: Relinearization, poses: usize) -> (Smoother, Vec<Key<Pose2>>) {
+    let mut smoother = Smoother::new(Settings { relinearization, ..Settings::default() }).unwrap();
+    let mut change = smoother.change();
+    let keys: Vec<_> =
+        (0..poses).map(|k| change.add_variable(&Pose2::new(0.5 * k as f64, 0.0, 0.0))).collect();
+    change.add_factor(Prior::new(keys[0], Pose2::identity(), noise(0.1)).unwrap());
+    for pair in keys.windows(2) {
+        let step = Pose2::new(1.0, 0.0, 0.01);
+        change.add_factor(BetweenPose2::new(pair[0], pair[1], step, noise(0.1)).unwrap());
+    }
+    smoother.apply(change).unwrap();
+    (smoother, keys)
+}
+
+#[test]
+fn checks_go_on_when_all_that_was_to_move_is_dropped() {
+    let every = |n| std::num::NonZeroU32::new(n).unwrap();
+    let relinearization = Relinearization {
+        fluid: Some(Fluid { threshold: 0.01, every: every(1) }),
+        sweep: None,
+        spread: every(50),
+        batch: None,
+        background: None,
+    };
+    let (mut smoother, keys) = bent(relinearization, 400);
+    let mut change = smoother.change();
+    for key in keys {
+        change.drop_variable_and_factors(smoother.graph(), key).unwrap();
+    }
+    let pose = change.add_variable(&Pose2::new(0.3, 0.0, 0.0));
+    change.add_factor(Prior::new(pose, Pose2::identity(), noise(0.1)).unwrap());
+    let relinearized = smoother.apply(change).unwrap().variables_relinearized;
+    assert_eq!(relinearized, 1);
+}
+
+#[test]
+fn the_background_finds_what_a_batch_finds_and_any_run_the_same() {
+    let run = || {
+        let (mut smoother, keys) = bent(Relinearization::BACKGROUND, 60);
+        for k in 0..160 {
+            let mut change = smoother.change();
+            if k == 70 {
+                // After the snapshot: the copy gets it too.
+                change.add_factor(
+                    BetweenPose2::new(keys[0], keys[59], Pose2::new(50.0, 20.0, 0.6), noise(0.1))
+                        .unwrap(),
+                );
+            }
+            let report = smoother.apply(change).unwrap();
+            assert!(report.relinearization_refused.is_none());
+        }
+        let found = smoother.error();
+        let best = smoother.clone().optimize(&BatchSettings::default()).unwrap().error;
+        assert!(found - best <= 1e-6 * best, "{found}, best {best}");
+        smoother.fingerprint()
+    };
+    assert_eq!(run(), run());
+}

@@ -51,6 +51,11 @@ pub enum SmootherError {
         /// The variable.
         variable: VariableId,
     },
+    /// The batch step on another thread panicked.
+    #[error(
+        "the batch step in the background panicked: a factor or a manifold does so at some estimate; its message is on standard error"
+    )]
+    Background,
     /// The thread pool could not be started.
     #[error("could not start {threads} threads: {reason}")]
     Threads {

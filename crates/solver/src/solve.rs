@@ -8,7 +8,7 @@ use evergraph_model::Graph;
 use pulp::{Simd, WithSimd};
 
 use crate::dense::Instructions;
-use crate::tree::{Clique, Numeric, Tree};
+use crate::tree::{Clique, NONE, Numeric, Tree};
 
 /// Solves one clique for its frontal scalars from `first` on, given a way to read the separator's δ;
 /// they are left in `scratch`, with zeros before them. O(frontal · front).
@@ -222,17 +222,21 @@ impl State {
         stack.extend(tree.roots.iter().copied());
         while let Some(index) = stack.pop() {
             let clique = tree.clique(index);
-            let moved = |v: &u32| {
-                let (fine, coarse) = self.changed[*v as usize];
-                (if pass.is_fine { fine } else { coarse }) > clique.solved
-            };
-            if clique.solved == 0 || clique.structure.separator.iter().any(moved) {
-                let has_small = self.solve(instructions, graph, clique, pass);
+            let (mut fine, mut coarse) = (false, false);
+            for &v in &clique.structure.separator {
+                let changed = self.changed[v as usize];
+                fine |= changed.0 > clique.solved;
+                coarse |= changed.1 > clique.solved;
+            }
+            if clique.solved == 0 || if pass.is_fine { fine } else { coarse } {
+                self.solve(instructions, graph, clique, pass);
                 tree.clique_mut(index).solved = self.clock;
-                if has_small && !pass.is_fine {
-                    tree.mark_unfinished(index);
-                }
             } else if !(pass.is_fine && clique.unfinished) {
+                // A fine pass has to come this way.
+                let parent = clique.parent;
+                if fine && parent != NONE {
+                    tree.mark_unfinished(parent);
+                }
                 continue;
             }
             stack.extend(tree.clique(index).children.iter().copied());
@@ -243,19 +247,12 @@ impl State {
         self.stack = stack;
     }
 
-    /// Solves a clique; whether something has changed that is too small to be passed on.
-    fn solve(
-        &mut self,
-        instructions: Instructions,
-        graph: &Graph,
-        clique: &Clique,
-        pass: Pass,
-    ) -> bool {
+    /// Solves a clique, and notes what that changes.
+    fn solve(&mut self, instructions: Instructions, graph: &Graph, clique: &Clique, pass: Pass) {
         let mut scratch = std::mem::take(&mut self.scratch);
         solve_clique(instructions, graph, clique, 0, &mut scratch, |v, out| {
             out.copy_from_slice(&self.delta[graph.tangent_range(v as usize)]);
         });
-        let mut has_small = false;
         let mut at = 0;
         for &v in &clique.structure.frontals {
             let range = graph.tangent_range(v as usize);
@@ -267,8 +264,6 @@ impl State {
                 if is_beyond(new, &self.coarse[range.clone()], pass.coarse) {
                     self.coarse[range].copy_from_slice(new);
                     self.changed[v as usize].1 = self.clock;
-                } else {
-                    has_small = true;
                 }
                 if new.iter().any(|x| x.abs() > pass.threshold) {
                     self.far.push(v);
@@ -276,7 +271,6 @@ impl State {
             }
         }
         self.scratch = scratch;
-        has_small
     }
 
     /// Variables whose δ has a component beyond `threshold`, in the order in which they were

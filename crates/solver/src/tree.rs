@@ -153,6 +153,7 @@ impl Numeric {
         self.data.truncate(first.layout.panel_len());
         self.data.extend_from_slice(&first.data);
         self.layout = first.layout;
+        (self.pivot_ratio, self.weakest) = (first.pivot_ratio, first.weakest);
     }
 }
 
@@ -165,7 +166,7 @@ pub(crate) struct Clique {
     pub(crate) children: SmallVec<[u32; 4]>,
     /// When its frontals were last solved for; 0 is never. See [`crate::solve`].
     pub(crate) solved: u64,
-    /// Whether a pass of back-substitution stopped somewhere below.
+    /// Whether a pass of back-substitution stopped at a child, or somewhere below.
     pub(crate) unfinished: bool,
     /// Number of this clique among all that the tree ever had.
     pub(crate) birth: u64,

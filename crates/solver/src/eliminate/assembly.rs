@@ -122,13 +122,35 @@ fn add_column(product: &[f64], j: usize, blocks: &[Block], front: &mut Assembly<
         return;
     }
     let source = &product[own.from + j..own.from + own.width];
-    for (out, x) in front.part(column, column, source.len()).iter_mut().zip(source) {
-        *out += x;
-    }
+    add(front.part(column, column, source.len()), source);
     for block in &blocks[1..] {
         let source = &product[block.from..block.from + block.width];
-        for (out, x) in front.part(column, block.to, source.len()).iter_mut().zip(source) {
+        add(front.part(column, block.to, source.len()), source);
+    }
+}
+
+/// `out += x`, both of the same, mostly small, length: by fours, for which one vector is enough, and
+/// then one by one. A plain loop would be compiled for long ones.
+#[inline(always)]
+fn add(out: &mut [f64], x: &[f64]) {
+    let (out_fours, out_rest) = out.as_chunks_mut::<4>();
+    let (x_fours, x_rest) = x.as_chunks::<4>();
+    for (out, x) in out_fours.iter_mut().zip(x_fours) {
+        for k in 0..4 {
+            out[k] += x[k];
+        }
+    }
+    if let [out, rest @ ..] = out_rest
+        && let [x, x_rest @ ..] = x_rest
+    {
+        *out += x;
+        if let [out, rest @ ..] = rest
+            && let [x, x_rest @ ..] = x_rest
+        {
             *out += x;
+            if let ([out], [x]) = (rest, x_rest) {
+                *out += x;
+            }
         }
     }
 }
@@ -143,9 +165,7 @@ pub(super) fn add_contribution(numeric: &Numeric, runs: &[Run], front: &mut Asse
     let diagonal = numeric.diagonal();
     for &Run { from, to, len } in runs {
         let len = len.min(diagonal.len() - from);
-        for (out, x) in front.diagonal[to..to + len].iter_mut().zip(&diagonal[from..from + len]) {
-            *out += x;
-        }
+        add(&mut front.diagonal[to..to + len], &diagonal[from..from + len]);
     }
 }
 
@@ -161,17 +181,13 @@ fn add_information(numeric: &Numeric, runs: &[Run], front: &mut Assembly<'_>) {
             let column = to + j;
             if column >= front.first {
                 let own = &child[..len - j];
-                for (out, x) in front.part(column, column, len - j).iter_mut().zip(own) {
-                    *out += x;
-                }
+                add(front.part(column, column, len - j), own);
             }
             for run in &runs[r + 1..] {
                 let source = &child[run.from - (from + j)..][..run.len];
                 if run.to > column {
                     if column >= front.first {
-                        for (out, x) in front.part(column, run.to, run.len).iter_mut().zip(source) {
-                            *out += x;
-                        }
+                        add(front.part(column, run.to, run.len), source);
                     }
                 } else {
                     // The separator was ordered otherwise when the child was built.

@@ -50,8 +50,9 @@ pub(super) fn prefix(
     let mut data = workspace.pool.take(len);
     let panel = &whole.data[..layout.panel_len()];
     let op = Contribute { system, structure, children, panel, data: &mut data, workspace };
-    system.instructions.dispatch(layout, op);
-    Numeric { layout, data, ..*whole }
+    let pivot_ratio = system.instructions.dispatch(layout, op);
+    let weakest = weakest_of(children).min(pivot_ratio);
+    Numeric { layout, form: Form::Information, data, pivot_ratio, weakest }
 }
 
 /// The smallest pivot ratio below a clique.
@@ -113,10 +114,11 @@ struct Contribute<'a> {
 }
 
 impl WithSimd for Contribute<'_> {
-    type Output = ();
+    /// The smallest pivot ratio of the first frontals.
+    type Output = f64;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
+    fn with_simd<S: Simd>(self, simd: S) -> f64 {
         let Self { system, structure, children, panel, data, workspace } = self;
         let layout = structure.layout();
         workspace.place(system, structure);
@@ -127,6 +129,8 @@ impl WithSimd for Contribute<'_> {
         diagonal.copy_from_slice(&workspace.diagonal[layout.frontal()..]);
         SubtractOuter { layout, panel, triangle }.with_simd(simd);
         workspace.clock.lap(Phase::Eliminate);
+        let ratio = |j: usize| panel[j * layout.rows() + j].powi(2) / workspace.diagonal[j];
+        (0..layout.frontal()).map(ratio).fold(f64::INFINITY, f64::min)
     }
 }
 

@@ -6,6 +6,7 @@
 //! step waits: what comes out does not depend on timing.
 
 use std::fmt;
+use std::panic::AssertUnwindSafe;
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 
 use evergraph_model::Change;
@@ -51,11 +52,14 @@ impl Background {
         let result = Arc::new((Mutex::new(None), Condvar::new()));
         let ours = Arc::clone(&result);
         std::thread::Builder::new().name("evergraph-batch".into()).spawn(move || {
-            let outcome = Smoother::from_graph(settings, graph, points, newest, instructions)
-                .and_then(|mut smoother| {
-                    let report = smoother.optimize(&BatchSettings::periodic())?;
-                    Ok((smoother, report))
-                });
+            // Whoever waits is told of a panic too.
+            let outcome = std::panic::catch_unwind(AssertUnwindSafe(|| {
+                let mut smoother =
+                    Smoother::from_graph(settings, graph, points, newest, instructions)?;
+                let report = smoother.optimize(&BatchSettings::periodic())?;
+                Ok((smoother, report))
+            }));
+            let outcome = outcome.unwrap_or(Err(SmootherError::Background));
             let (slot, arrived) = &*ours;
             *slot.lock().unwrap_or_else(PoisonError::into_inner) = Some(outcome);
             arrived.notify_all();

@@ -41,7 +41,9 @@ impl Smoother {
         due.clear();
         if with_due && self.ahead.is_ready() && change.moves().is_empty() {
             due.extend(self.ahead.variables(&self.graph));
-            planner.touch_ahead(&self.graph, &self.tree, &self.ahead);
+            if !due.is_empty() {
+                planner.touch_ahead(&self.graph, &self.tree, &self.ahead);
+            }
         }
     }
 
@@ -72,6 +74,10 @@ impl Smoother {
             }
         } else if policy.batch.is_some_and(|every| steps.is_multiple_of(u64::from(every.get()))) {
             return self.batch_step(report);
+        }
+        if self.ahead.is_active() && self.ahead.variables(&self.graph).next().is_none() {
+            // All of them have been dropped.
+            self.ahead.clear(&mut self.scratch.workspace.pool);
         }
         if self.ahead.is_active() {
             return self.advance();
