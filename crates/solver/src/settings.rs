@@ -43,8 +43,8 @@ pub struct Relinearization {
     /// and the slowest step by far; iSAM uses 100, the GLC paper 50.
     pub batch: Option<NonZeroU32>,
     /// The batch step is made on another thread, from a snapshot, and taken over so many changes
-    /// later, the changes since applied to it: no step pays for it. When the thread is late that
-    /// step waits, so that results do not depend on timing. None: within the step.
+    /// later, the changes since applied to it. When the thread is late that step waits, so that
+    /// results do not depend on timing. None: within the step. Needs `batch`.
     pub background: Option<NonZeroU32>,
 }
 
@@ -57,7 +57,7 @@ const fn interval(n: u32) -> NonZeroU32 {
 
 impl Relinearization {
     /// Fluid with a threshold of 0.1 every 10 changes, and every 100 a sweep of what exceeds 0.02,
-    /// each spread over 10. No step pays for the whole graph. The default.
+    /// each spread over 10. The default.
     pub const BOTH: Self = Self {
         fluid: Some(Fluid { threshold: 0.1, every: interval(10) }),
         sweep: Some(Fluid { threshold: 0.02, every: interval(100) }),

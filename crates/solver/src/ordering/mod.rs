@@ -13,7 +13,7 @@ use minimum_degree::MinimumDegree;
 #[derive(Debug, Default)]
 pub(crate) struct Groups {
     members: Vec<u32>,
-    ends: Vec<u32>,
+    ends: Vec<usize>,
 }
 
 impl Groups {
@@ -24,13 +24,13 @@ impl Groups {
 
     pub(crate) fn push(&mut self, group: impl IntoIterator<Item = u32>) {
         self.members.extend(group);
-        self.ends.push(self.members.len() as u32);
+        self.ends.push(self.members.len());
     }
 
     fn iter(&self) -> impl Iterator<Item = &[u32]> {
         (0..self.ends.len()).map(|g| {
             let start = if g == 0 { 0 } else { self.ends[g - 1] };
-            &self.members[start as usize..self.ends[g] as usize]
+            &self.members[start..self.ends[g]]
         })
     }
 }
@@ -43,7 +43,7 @@ pub(crate) struct Elimination {
     pub(crate) order: Vec<u32>,
     /// Inverse of `order`.
     pub(crate) position: Vec<u32>,
-    ends: Vec<u32>,
+    ends: Vec<usize>,
     members: Vec<u32>,
 }
 
@@ -62,13 +62,13 @@ impl Elimination {
         self.position[variable as usize] = self.order.len() as u32;
         self.order.push(variable);
         self.members.extend(separator);
-        self.ends.push(self.members.len() as u32);
+        self.ends.push(self.members.len());
     }
 
     /// What is adjacent to the `k`-th variable when it is eliminated.
     pub(crate) fn separator(&self, k: usize) -> &[u32] {
         let start = if k == 0 { 0 } else { self.ends[k - 1] };
-        &self.members[start as usize..self.ends[k] as usize]
+        &self.members[start..self.ends[k]]
     }
 }
 
