@@ -448,3 +448,67 @@ fn the_background_finds_what_a_batch_finds_and_any_run_the_same() {
     };
     assert_eq!(run(), run());
 }
+
+/// A measurement of nothing that panics on the thread of batch steps.
+#[derive(Debug)]
+struct PanicsInBackground([VariableId; 1]);
+
+impl Factor for PanicsInBackground {
+    fn name(&self) -> String {
+        "PanicsInBackground".into()
+    }
+    fn keys(&self) -> &[VariableId] {
+        &self.0
+    }
+    fn residual_dim(&self) -> usize {
+        1
+    }
+    fn accepts(&self, _: usize, _: &VariableType, _: usize) -> bool {
+        true
+    }
+    fn residual(&self, _: &Arguments<'_>, out: &mut [f64]) {
+        out[0] = 0.0;
+    }
+    fn linearize(&self, _: &Arguments<'_>, _: &mut Linearization<'_>) {
+        assert_ne!(std::thread::current().name(), Some("evergraph-batch"), "as it should");
+    }
+    fn as_any(&self) -> &dyn std::any::Any {
+        self
+    }
+}
+
+#[test]
+fn a_panic_in_the_background_is_told_and_nothing_waits_for_it() {
+    let (mut smoother, keys) = bent(Relinearization::BACKGROUND, 5);
+    let mut change = smoother.change();
+    change.add_factor(PanicsInBackground([keys[2].id()]));
+    smoother.apply(change).unwrap();
+    let refusals: Vec<_> = (2..80)
+        .filter_map(|_| smoother.apply(smoother.change()).unwrap().relinearization_refused)
+        .collect();
+    assert_eq!(refusals, [SmootherError::Background]);
+}
+
+#[test]
+fn the_smallest_pivot_ratio_is_that_of_the_factor_whatever_was_split() {
+    let (mut smoother, mut poses) = bent(Relinearization::NEVER, 2);
+    for k in 2..120 {
+        let mut change = smoother.change();
+        let pose = change.add_variable(&Pose2::new(k as f64, 0.0, 0.01 * k as f64));
+        let step = Pose2::new(1.0, 0.0, 0.01);
+        change.add_factor(BetweenPose2::new(poses[k - 1], pose, step, noise(0.1)).unwrap());
+        if k % 7 == 3 {
+            let far = Pose2::new(k as f64 / 2.0, 0.0, 0.0);
+            change.add_factor(BetweenPose2::new(poses[k / 2], pose, far, noise(1.0)).unwrap());
+        }
+        poses.push(pose);
+        smoother.apply(change).unwrap();
+        let system = smoother.linear_system();
+        let mut squares = vec![0.0; system.columns];
+        system.jacobian.iter().for_each(|(_, column, x)| squares[*column] += x * x);
+        let pivots = system.factor.iter().filter(|(row, column, _)| row == column);
+        let ratio = pivots.map(|(_, j, x)| x * x / squares[*j]).fold(f64::INFINITY, f64::min);
+        let told = smoother.smallest_pivot_ratio();
+        assert!((told / ratio - 1.0).abs() < 1e-9, "step {k}: {told}, by the factor {ratio}");
+    }
+}

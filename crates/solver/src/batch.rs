@@ -17,6 +17,7 @@ use crate::quadratic::{
 use crate::smoother::{Scratch, Smoother};
 use crate::solve;
 use crate::tree::Tree;
+use crate::update::Mark;
 
 /// How steps are chosen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -143,7 +144,7 @@ impl Smoother {
             (self.graph.error(&estimate), self.graph.error(&self.points));
         let start = if at_estimate <= at_points { estimate } else { self.points.clone() };
         let Scratch { planner, job, workspace, .. } = &mut self.scratch;
-        planner.gather_everything(&self.graph, &self.tree);
+        planner.gather_all(&self.graph, &self.tree, Mark::Detached);
         planner.plan(&self.graph, &self.tree, self.newest, job, &mut workspace.clock);
         // The cliques go into an empty tree; this one is kept in case of failure.
         planner.detached.clear();
@@ -155,9 +156,7 @@ impl Smoother {
         };
         self.lap(Phase::Stage);
         let result = self.relinearize_all().and_then(|()| {
-            self.eliminate(None).map_err(|failure| self.explain(failure, &[], &[]))?;
-            self.install();
-            self.lap(Phase::Install);
+            self.eliminate_and_install(None)?;
             let initial_error = at_estimate.min(at_points);
             match settings.method {
                 Method::Dogleg => self.dogleg(settings, initial_error),
@@ -212,7 +211,6 @@ impl Smoother {
                     Err(error) => return Err(error),
                 }
             }
-            self.lap(Phase::Install);
             let delta = solve::all(self.scratch.instructions, &self.graph, &self.tree);
             self.lap(Phase::Solve);
             let trial = retract_all(&self.graph, &self.points, &delta);
@@ -354,16 +352,14 @@ impl Smoother {
     /// Eliminates all cliques again with `damping · diag(JᵀJ)` added.
     fn eliminate_in_place(&mut self, damping: f64) -> Result<(), SmootherError> {
         let Scratch { planner, job, workspace, .. } = &mut self.scratch;
-        planner.gather_all_in_place(&self.graph, &self.tree);
+        planner.gather_all(&self.graph, &self.tree, Mark::InPlace);
         planner.plan(&self.graph, &self.tree, self.newest, job, &mut workspace.clock);
         let added = (damping > 0.0).then(|| {
             let mut diagonal = diagonal(&self.graph, &self.blocks);
             diagonal.iter_mut().for_each(|d| *d *= damping);
             diagonal
         });
-        self.eliminate(added.as_deref()).map_err(|failure| self.explain(failure, &[], &[]))?;
-        self.install();
-        Ok(())
+        self.eliminate_and_install(added.as_deref())
     }
 }
 

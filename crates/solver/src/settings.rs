@@ -148,6 +148,13 @@ impl Settings {
         if let Some(sweep) = self.relinearization.sweep {
             non_negative("relinearization.sweep.threshold", sweep.threshold)?;
         }
+        if self.relinearization.background.is_some() && self.relinearization.batch.is_none() {
+            return Err(SettingsError {
+                field: "relinearization.background",
+                value: "set".into(),
+                must: "unset, or used with `batch`, which says how often there is a batch step",
+            });
+        }
         if self.threads == 0 || self.threads > 1024 {
             return Err(SettingsError {
                 field: "threads",
@@ -170,6 +177,9 @@ mod tests {
         assert_eq!(nan.check().unwrap_err().field, "back_substitution_tolerance");
         let none = Settings { threads: 0, ..Settings::default() };
         assert!(none.check().unwrap_err().to_string().contains("threads is 0"));
+        let mut idle = Settings::default();
+        idle.relinearization.background = Some(interval(5));
+        assert_eq!(idle.check().unwrap_err().field, "relinearization.background");
         let mut negative = Settings::default();
         negative.relinearization.fluid = Some(Fluid { threshold: -1.0, every: interval(1) });
         assert_eq!(negative.check().unwrap_err().field, "relinearization.fluid.threshold");

@@ -171,8 +171,7 @@ impl Smoother {
         let Scratch { planner, job, workspace, .. } = &mut smoother.scratch;
         planner.gather_graph(&smoother.graph, &smoother.tree);
         planner.plan(&smoother.graph, &smoother.tree, newest, job, &mut workspace.clock);
-        smoother.eliminate(None).map_err(|failure| smoother.explain(failure, &[], &[]))?;
-        smoother.install();
+        smoother.eliminate_and_install(None)?;
         Ok(smoother)
     }
 
@@ -347,18 +346,22 @@ impl Smoother {
 
     /// Eliminates the job at hand with the current blocks and settings.
     pub(crate) fn eliminate(&mut self, damping: Option<&[f64]>) -> Result<(), Failure> {
-        let system = System {
-            graph: &self.graph,
-            blocks: &self.blocks,
-            tree: &self.tree,
-            elimination: self.settings.elimination,
-            instructions: self.scratch.instructions,
-            overlay: None,
-            ahead: &self.ahead,
-            damping,
-        };
-        let Scratch { job, eliminated, workspace, pool, .. } = &mut self.scratch;
+        let Self { graph, blocks, tree, ahead, settings, scratch, .. } = self;
+        let system = System::new(graph, blocks, tree, settings.elimination, scratch.instructions);
+        let system = System { ahead: Some(ahead), damping, ..system };
+        let Scratch { job, eliminated, workspace, pool, .. } = scratch;
         eliminate::eliminate(&system, job, eliminated, workspace, pool.as_deref())
+    }
+
+    /// Eliminates a job that changes nothing in the graph, and puts the result into the tree.
+    pub(crate) fn eliminate_and_install(
+        &mut self,
+        damping: Option<&[f64]>,
+    ) -> Result<(), SmootherError> {
+        self.eliminate(damping).map_err(|failure| self.explain(failure, &[], &[]))?;
+        self.install();
+        self.lap(Phase::Install);
+        Ok(())
     }
 
     /// Puts a failure into words; factors and variables that are being dropped (ascending) do not

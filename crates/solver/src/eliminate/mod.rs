@@ -91,12 +91,37 @@ pub(crate) struct System<'a> {
     /// Blocks that stand for those of `blocks`.
     pub(crate) overlay: Option<&'a Overlay>,
     /// What [`Child::Ahead`] refers to.
-    pub(crate) ahead: &'a Ahead,
+    pub(crate) ahead: Option<&'a Ahead>,
     /// Added to each scalar's diagonal of the information matrix, by tangent position.
     pub(crate) damping: Option<&'a [f64]>,
 }
 
 impl<'a> System<'a> {
+    /// The linear system as it is.
+    pub(crate) fn new(
+        graph: &'a Graph,
+        blocks: &'a Blocks,
+        tree: &'a Tree,
+        elimination: Elimination,
+        instructions: Instructions,
+    ) -> Self {
+        Self {
+            graph,
+            blocks,
+            tree,
+            elimination,
+            instructions,
+            overlay: None,
+            ahead: None,
+            damping: None,
+        }
+    }
+
+    /// A clique that was eliminated ahead of time: its slot and its new numbers.
+    fn ahead(&self, place: u32) -> (u32, &'a Numeric) {
+        self.ahead.expect("jobs that take over are given what was done ahead").clique(place)
+    }
+
     /// `[J₁ … Jₖ | r]` of a factor, column-major.
     #[inline]
     pub(crate) fn block(&self, factor: usize) -> &'a [f64] {
@@ -279,9 +304,7 @@ impl<'a> Range<'a> {
         match of {
             Child::Node(n) => self.system.structure(&self.job.nodes[n as usize]),
             Child::Kept(clique) => &self.system.tree.clique(clique).structure,
-            Child::Ahead(place) => {
-                &self.system.tree.clique(self.system.ahead.clique(place).0).structure
-            }
+            Child::Ahead(place) => &self.system.tree.clique(self.system.ahead(place).0).structure,
         }
     }
 
@@ -293,7 +316,7 @@ impl<'a> Range<'a> {
             Child::Kept(clique) => {
                 self.kept.get(&clique).unwrap_or(&self.system.tree.clique(clique).numeric)
             }
-            Child::Ahead(place) => self.system.ahead.clique(place).1,
+            Child::Ahead(place) => self.system.ahead(place).1,
         }
     }
 

@@ -49,8 +49,8 @@ pub(crate) struct Ahead {
     direct: bool,
 }
 
-/// Steps get at least this much to do ...
-const SMALLEST_SLICE: f64 = 1e5;
+/// Steps get at least this much to do, and less than this is not worth spreading ...
+pub(super) const SMALLEST_SLICE: f64 = 1e5;
 /// ... and no more than this: the work of large graphs takes more steps.
 const LARGEST_SLICE: f64 = 1e6;
 
@@ -105,7 +105,7 @@ impl Ahead {
         work
     }
 
-    /// Does a slice of the work.
+    /// Does a slice of the work in progress.
     pub(crate) fn advance(
         &mut self,
         system: &System<'_>,
@@ -113,7 +113,7 @@ impl Ahead {
         workspace: &mut Workspace,
     ) {
         let mut left = self.slice;
-        while left > 0.0 && self.is_active() && !self.is_ready() {
+        while left > 0.0 && !self.is_ready() {
             if self.linearized < self.factors.len() {
                 left -= self.linearize_next(system.graph, points);
                 // One lap for all of them, before the first elimination.

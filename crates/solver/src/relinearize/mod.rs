@@ -21,9 +21,6 @@ pub(crate) use background::Background;
 /// threshold.
 const COARSE_SHARE: f64 = 0.4;
 
-/// Work up to this, in units of about a nanosecond, is not worth spreading.
-const AT_ONCE: f64 = 1e5;
-
 /// The steps of the last checks.
 #[derive(Clone, Copy, Debug, Default, Hash)]
 pub(crate) struct Checked {
@@ -121,7 +118,7 @@ impl Smoother {
         let now = (&self.graph, &self.tree, &*self.points);
         let work = self.ahead.start(now, &self.solution, &moved, cliques, policy.spread.get());
         self.lap(Phase::Detach);
-        if policy.spread.get() == 1 || work <= AT_ONCE {
+        if policy.spread.get() == 1 || work <= ahead::SMALLEST_SLICE {
             self.relinearize_at_once(report);
         }
     }
@@ -130,7 +127,7 @@ impl Smoother {
     fn relinearize_at_once(&mut self, report: &mut Report) {
         self.ahead.make_direct();
         let nothing = self.graph.change();
-        let Ok(staged) = self.graph.stage(&nothing) else { return };
+        let staged = self.graph.stage(&nothing).expect("an empty change of this graph fits it");
         match self.eliminate_change(&nothing, &staged, self.newest, true) {
             Ok(()) => {
                 report.variables_relinearized += self.scratch.due.len();
@@ -147,17 +144,8 @@ impl Smoother {
 
     /// Does a slice of the relinearization in progress.
     fn advance(&mut self) {
-        let none = Ahead::default();
-        let system = System {
-            graph: &self.graph,
-            blocks: &self.blocks,
-            tree: &self.tree,
-            elimination: self.settings.elimination,
-            instructions: self.scratch.instructions,
-            overlay: None,
-            ahead: &none,
-            damping: None,
-        };
+        let (elimination, instructions) = (self.settings.elimination, self.scratch.instructions);
+        let system = System::new(&self.graph, &self.blocks, &self.tree, elimination, instructions);
         self.ahead.advance(&system, &mut self.points, &mut self.scratch.workspace);
     }
 

@@ -4,13 +4,14 @@
 mod marks;
 mod plan;
 
+use evergraph_model::{Graph, Staged};
+
 use crate::ordering::{Groups, Orderer};
 use crate::relinearize::Ahead;
 use crate::symbolic::Cliques;
 use crate::tree::{Form, NONE, Structure, Tree};
-use evergraph_model::{Graph, Staged};
-use marks::first_of_child;
-use marks::{Mark, Marks};
+pub(crate) use marks::Mark;
+use marks::{Marks, first_of_child};
 
 /// A clique whose first touched frontal is this one or a later one is split there, rather than
 /// taken apart whole.
@@ -21,6 +22,8 @@ const SHORTEST_PREFIX: usize = 2;
 struct Split {
     clique: u32,
     frontals: usize,
+    /// First of its children among `split_children`, and how many.
+    children: (usize, usize),
 }
 
 /// Finds out what an update takes apart, and how to put it together again.
@@ -30,6 +33,8 @@ pub(crate) struct Planner {
     /// Cliques to take out, children before parents.
     pub(crate) detached: Vec<u32>,
     splits: Vec<Split>,
+    /// Children that the first frontals of split cliques keep.
+    split_children: Vec<u32>,
     /// Subtrees that stay, as they are or with new numbers, below what is taken out.
     pub(crate) orphans: Vec<u32>,
     /// Cliques done ahead of time.
@@ -149,10 +154,10 @@ impl Planner {
         self.factors.extend(staged.new_factors().map(|f| f as u32));
     }
 
-    /// Everything: for a new order of the whole graph.
-    pub(crate) fn gather_everything(&mut self, graph: &Graph, tree: &Tree) {
+    /// Everything: detached, for a new order of the whole graph, or in place.
+    pub(crate) fn gather_all(&mut self, graph: &Graph, tree: &Tree, mark: Mark) {
         self.start(tree);
-        self.marks.touch_all(tree, Mark::Detached);
+        self.marks.touch_all(tree, mark);
         self.gather(graph, tree);
     }
 
@@ -163,17 +168,11 @@ impl Planner {
         self.factors.extend(graph.factor_indices().map(|f| f as u32));
     }
 
-    /// Everything, in place.
-    pub(crate) fn gather_all_in_place(&mut self, graph: &Graph, tree: &Tree) {
-        self.start(tree);
-        self.marks.touch_all(tree, Mark::InPlace);
-        self.gather(graph, tree);
-    }
-
     fn start(&mut self, tree: &Tree) {
         self.marks.start(tree);
         self.detached.clear();
         self.splits.clear();
+        self.split_children.clear();
         self.orphans.clear();
         self.ahead.clear();
         self.roots.clear();
@@ -221,16 +220,20 @@ impl Planner {
             }
             self.detached.push(clique);
             let split = self.split_at(tree, clique);
+            let first = self.split_children.len();
             for &child in &tree.clique(clique).children {
                 match self.marks.get(child) {
                     Some(Mark::Detached) => stack.push(child),
                     Some(Mark::InPlace | Mark::Ahead) => self.orphans.push(child),
-                    None if split > 0 && first_of_child(tree, clique, child) < split as u32 => {}
+                    None if split > 0 && first_of_child(tree, clique, child) < split as u32 => {
+                        self.split_children.push(child);
+                    }
                     None => self.orphans.push(child),
                 }
             }
             if split > 0 {
-                self.splits.push(Split { clique, frontals: split });
+                let children = (first, self.split_children.len() - first);
+                self.splits.push(Split { clique, frontals: split, children });
             }
         }
         self.stack = stack;

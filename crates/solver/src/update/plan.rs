@@ -4,7 +4,7 @@ use evergraph_model::Graph;
 use smallvec::SmallVec;
 
 use super::Planner;
-use super::marks::{Mark, first_of_child};
+use super::marks::Mark;
 use crate::eliminate::{Child, Job, Node, NodeStructure};
 use crate::profile::{Clock, Phase};
 use crate::tree::{NONE, Structure, Tree};
@@ -141,12 +141,9 @@ impl Planner {
             };
         };
         let split = self.splits[at];
-        let children = tree.clique(split.clique).children.iter().copied();
-        let children = children
-            .filter(|&c| self.marks.get(c).is_none())
-            .filter(|&c| first_of_child(tree, split.clique, c) < split.frontals as u32)
-            .map(Child::Kept)
-            .collect();
+        let (first, count) = split.children;
+        let children = self.split_children[first..first + count].iter();
+        let children = children.map(|&child| Child::Kept(child)).collect();
         let structure = split.structure(graph, tree);
         let structure = NodeStructure::Prefix { clique: split.clique, split: at as u32, structure };
         Child::Node(push_node(structure, children, job))
