@@ -50,7 +50,7 @@ impl World {
         let settings = Settings {
             elimination,
             relinearization: Relinearization {
-                fluid: Some(Fluid { threshold: 0.01, every: every(3) }),
+                fluid: Some(Fluid { threshold: 0.01, share: 1.0, every: every(3) }),
                 sweep: None,
                 spread: every(4),
                 batch: Some(every(17)),

@@ -363,8 +363,8 @@ fn memory_follows_the_living_in_large_changes_too() {
 fn a_fine_sweep_sees_what_a_coarse_check_left() {
     let every = |n| std::num::NonZeroU32::new(n).unwrap();
     let relinearization = Relinearization {
-        fluid: Some(Fluid { threshold: 0.05, every: every(1) }),
-        sweep: Some(Fluid { threshold: 1e-6, every: every(5) }),
+        fluid: Some(Fluid { threshold: 0.05, share: 1.0, every: every(1) }),
+        sweep: Some(Fluid { threshold: 1e-6, share: 1.0, every: every(5) }),
         spread: every(1),
         batch: None,
         background: None,
@@ -408,7 +408,7 @@ fn bent(relinearization: Relinearization, poses: usize) -> (Smoother, Vec<Key<Po
 fn checks_go_on_when_all_that_was_to_move_is_dropped() {
     let every = |n| std::num::NonZeroU32::new(n).unwrap();
     let relinearization = Relinearization {
-        fluid: Some(Fluid { threshold: 0.01, every: every(1) }),
+        fluid: Some(Fluid { threshold: 0.01, share: 1.0, every: every(1) }),
         sweep: None,
         spread: every(50),
         batch: None,

@@ -303,7 +303,8 @@ pub(crate) struct Policy {
     /// A batch to convergence every N steps, besides the rest of the policy
     #[arg(long, value_name = "N")]
     pub relinearize_every: Option<NonZeroU32>,
-    /// How far an estimate may move (m, rad) before its variable is relinearized [default: 0.1]
+    /// How far an estimate may move (m, rad) before it is relinearized, with all that moved a third
+    /// as far [default: 0.3]
     #[arg(long, value_name = "X", allow_negative_numbers = true, value_parser = threshold)]
     pub relinearize_threshold: Option<f64>,
     /// Look for what moved far every N steps [default: 10]
@@ -346,10 +347,11 @@ impl Policy {
                 *fluid = Fluid {
                     threshold: self.relinearize_threshold.unwrap_or(fluid.threshold),
                     every: self.fluid_every.unwrap_or(fluid.every),
+                    ..*fluid
                 };
                 // The sweep is the finer of the two.
                 if let Some(sweep) = &mut policy.sweep {
-                    sweep.threshold = sweep.threshold.min(fluid.threshold);
+                    sweep.threshold = sweep.threshold.min(fluid.share * fluid.threshold);
                 }
             }
             None if tuned => {

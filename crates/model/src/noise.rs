@@ -279,12 +279,11 @@ impl Noise {
 fn whiten_fixed<const N: usize>(root: &[f64], columns: &mut [f64]) {
     let (root, _) = root.as_chunks::<N>();
     for column in columns.as_chunks_mut::<N>().0 {
-        let mut whitened: [f64; N] = std::array::from_fn(|i| root[i][i] * column[i]);
-        for k in 1..N {
-            for i in 0..N {
-                if i < k {
-                    whitened[i] += root[k][i] * column[k];
-                }
+        // The zeros below the diagonal join in: whole columns are vectors.
+        let mut whitened = [0.0; N];
+        for (root, x) in root.iter().zip(*column) {
+            for (sum, r) in whitened.iter_mut().zip(root) {
+                *sum += r * x;
             }
         }
         *column = whitened;

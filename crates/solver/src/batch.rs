@@ -167,7 +167,7 @@ impl Smoother {
             Ok(_) => {
                 self.solution = solve::State::default();
                 self.solution.resize(&self.graph);
-                self.ahead.clear(&mut self.scratch.workspace.pool);
+                self.ahead.clear(&mut self.blocks, &mut self.scratch.workspace.pool);
                 self.background = None;
                 self.at_optimum = true;
             }

@@ -17,13 +17,16 @@ pub enum Elimination {
     Qr,
 }
 
-/// Relinearize, every `every` changes, the variables whose estimate lies further than `threshold`
-/// from the linearization point.
+/// Look, every `every` changes, whether an estimate lies further than `threshold` from its
+/// linearization point, and relinearize.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Fluid {
     /// Largest component of δ that is tolerated (m and rad alike). Smaller is more exact and
     /// slower.
     pub threshold: f64,
+    /// When one is beyond the threshold, all variables beyond this share of it move with it, so that
+    /// they do not follow a few at a time, each time with all that is above them. Between 0 and 1.
+    pub share: f64,
     /// Number of changes between checks.
     pub every: NonZeroU32,
 }
@@ -55,12 +58,28 @@ const fn interval(n: u32) -> NonZeroU32 {
     }
 }
 
+impl Fluid {
+    /// Variables beyond this are relinearized when one is beyond the threshold.
+    pub(crate) fn reach(&self) -> f64 {
+        self.share * self.threshold
+    }
+
+    fn check(&self, threshold: &'static str, share: &'static str) -> Result<(), SettingsError> {
+        non_negative(threshold, self.threshold)?;
+        if (0.0..=1.0).contains(&self.share) {
+            return Ok(());
+        }
+        let value = self.share.to_string();
+        Err(SettingsError { field: share, value, must: "between 0 and 1" })
+    }
+}
+
 impl Relinearization {
-    /// Fluid with a threshold of 0.1 every 10 changes, and every 100 a sweep of what exceeds 0.02,
-    /// each spread over 10. The default.
+    /// Every 10 changes what exceeds 0.1, if anything exceeds 0.3, and every 100 a sweep of what
+    /// exceeds 0.02; each spread over 10. The default.
     pub const BOTH: Self = Self {
-        fluid: Some(Fluid { threshold: 0.1, every: interval(10) }),
-        sweep: Some(Fluid { threshold: 0.02, every: interval(100) }),
+        fluid: Some(Fluid { threshold: 0.3, share: 1.0 / 3.0, every: interval(10) }),
+        sweep: Some(Fluid { threshold: 0.02, share: 1.0, every: interval(100) }),
         spread: interval(10),
         batch: None,
         background: None,
@@ -130,23 +149,12 @@ impl Settings {
     /// # Errors
     /// [`SettingsError`] names the first field that is out of range.
     pub fn check(&self) -> Result<(), SettingsError> {
-        let non_negative = |field, value: f64| {
-            if value.is_finite() && value >= 0.0 {
-                Ok(())
-            } else {
-                Err(SettingsError {
-                    field,
-                    value: value.to_string(),
-                    must: "a finite number, at least 0",
-                })
-            }
-        };
         non_negative("back_substitution_tolerance", self.back_substitution_tolerance)?;
         if let Some(fluid) = self.relinearization.fluid {
-            non_negative("relinearization.fluid.threshold", fluid.threshold)?;
+            fluid.check("relinearization.fluid.threshold", "relinearization.fluid.share")?;
         }
         if let Some(sweep) = self.relinearization.sweep {
-            non_negative("relinearization.sweep.threshold", sweep.threshold)?;
+            sweep.check("relinearization.sweep.threshold", "relinearization.sweep.share")?;
         }
         if self.relinearization.background.is_some() && self.relinearization.batch.is_none() {
             return Err(SettingsError {
@@ -166,6 +174,14 @@ impl Settings {
     }
 }
 
+fn non_negative(field: &'static str, value: f64) -> Result<(), SettingsError> {
+    if value.is_finite() && value >= 0.0 {
+        return Ok(());
+    }
+    let value = value.to_string();
+    Err(SettingsError { field, value, must: "a finite number, at least 0" })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -181,7 +197,12 @@ mod tests {
         idle.relinearization.background = Some(interval(5));
         assert_eq!(idle.check().unwrap_err().field, "relinearization.background");
         let mut negative = Settings::default();
-        negative.relinearization.fluid = Some(Fluid { threshold: -1.0, every: interval(1) });
+        negative.relinearization.fluid =
+            Some(Fluid { threshold: -1.0, share: 1.0, every: interval(1) });
         assert_eq!(negative.check().unwrap_err().field, "relinearization.fluid.threshold");
+        let mut wide = Settings::default();
+        wide.relinearization.sweep =
+            Some(Fluid { threshold: 1.0, share: f64::NAN, every: interval(1) });
+        assert_eq!(wide.check().unwrap_err().field, "relinearization.sweep.share");
     }
 }

@@ -402,7 +402,7 @@ impl Smoother {
         }
         // What was in progress for other points than these cannot go on.
         if !self.scratch.due.is_empty() || !change.moves().is_empty() {
-            self.ahead.clear(&mut self.scratch.workspace.pool);
+            self.ahead.clear(&mut self.blocks, &mut self.scratch.workspace.pool);
         }
         self.graph.commit(staged);
     }

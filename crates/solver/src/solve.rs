@@ -273,13 +273,14 @@ impl State {
         self.scratch = scratch;
     }
 
-    /// Variables whose δ has a component beyond `threshold`, in the order in which they were
-    /// solved for; `smallest` is the threshold that every pass was given. Costs what has moved, not
-    /// the whole graph.
+    /// If δ has a component beyond `threshold` anywhere: the variables with one beyond `reach`, in
+    /// the order in which they were solved for. `smallest` is the threshold that every pass was
+    /// given. Costs what has moved, not the whole graph.
     pub(crate) fn moved_beyond(
         &mut self,
         graph: &Graph,
         threshold: f64,
+        reach: f64,
         smallest: f64,
     ) -> Vec<u32> {
         let Self { far, seen, delta, .. } = self;
@@ -290,7 +291,10 @@ impl State {
         };
         far.retain(|&v| beyond(v, smallest) && !std::mem::replace(&mut seen[v as usize], true));
         far.iter().for_each(|&v| seen[v as usize] = false);
-        far.iter().copied().filter(|&v| beyond(v, threshold)).collect()
+        match far.iter().any(|&v| beyond(v, threshold)) {
+            true => far.iter().copied().filter(|&v| beyond(v, reach)).collect(),
+            false => Vec::new(),
+        }
     }
 }
 

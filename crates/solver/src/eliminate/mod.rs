@@ -125,7 +125,7 @@ impl<'a> System<'a> {
     /// `[J₁ … Jₖ | r]` of a factor, column-major.
     #[inline]
     pub(crate) fn block(&self, factor: usize) -> &'a [f64] {
-        let overlaid = self.overlay.and_then(|overlay| overlay.get(factor));
+        let overlaid = self.overlay.and_then(|overlay| overlay.get(self.blocks, factor));
         overlaid.unwrap_or_else(|| self.blocks.get(factor))
     }
 

@@ -13,7 +13,6 @@ use smallvec::SmallVec;
 use crate::eliminate::{self, System, Workspace};
 use crate::linearization::{Blocks, Overlay};
 use crate::pool::Pool;
-use crate::profile::Phase;
 use crate::solve;
 use crate::tree::{NONE, Numeric, Structure, Tree};
 
@@ -105,29 +104,35 @@ impl Ahead {
         work
     }
 
-    /// Does a slice of the work in progress.
-    pub(crate) fn advance(
+    /// Linearizes factors at the new points, for a slice of the work or until all are done; what is
+    /// left of the slice.
+    pub(crate) fn linearize(
         &mut self,
-        system: &System<'_>,
+        graph: &Graph,
         points: &mut [f64],
+        blocks: &mut Blocks,
+    ) -> f64 {
+        let mut left = self.slice;
+        while left > 0.0 && !self.direct && self.linearized < self.factors.len() {
+            left -= self.linearize_next(graph, points, blocks);
+        }
+        left
+    }
+
+    /// Eliminates cliques with the new Jacobians, for what is left of a slice.
+    pub(crate) fn eliminate(
+        &mut self,
+        mut left: f64,
+        system: &System<'_>,
         workspace: &mut Workspace,
     ) {
-        let mut left = self.slice;
         while left > 0.0 && !self.is_ready() {
-            if self.linearized < self.factors.len() {
-                left -= self.linearize_next(system.graph, points);
-                // One lap for all of them, before the first elimination.
-                if left <= 0.0 || self.linearized == self.factors.len() {
-                    workspace.clock.lap(Phase::Linearize);
-                }
-            } else {
-                left -= self.eliminate_next(system, workspace);
-            }
+            left -= self.eliminate_next(system, workspace);
         }
     }
 
     /// Linearizes a factor at the new points of its variables; what that cost.
-    fn linearize_next(&mut self, graph: &Graph, points: &mut [f64]) -> f64 {
+    fn linearize_next(&mut self, graph: &Graph, points: &mut [f64], blocks: &mut Blocks) -> f64 {
         let id = self.factors[self.linearized];
         self.linearized += 1;
         if graph.check_factor(id).is_err() {
@@ -137,7 +142,7 @@ impl Ahead {
         for &v in graph.variables_at(factor) {
             self.swap_point(graph, v, points);
         }
-        if !self.blocks.linearize(graph, factor, points) {
+        if !self.blocks.linearize(blocks, graph, factor, points) {
             self.direct = true;
         }
         for &v in graph.variables_at(factor) {
@@ -213,8 +218,9 @@ impl Ahead {
 
     /// Whether a factor has been linearized here.
     pub(crate) fn has(&self, graph: &Graph, factor: u32) -> bool {
-        let place = self.blocks.place(factor as usize);
-        !self.direct && place.is_some_and(|at| self.factors[at] == graph.factor_id(factor as usize))
+        let position = self.blocks.position(factor as usize);
+        !self.direct
+            && position.is_some_and(|at| self.factors[at] == graph.factor_id(factor as usize))
     }
 
     /// Exchanges old and new points and Jacobians; twice is nothing.
@@ -230,7 +236,7 @@ impl Ahead {
         for (at, id) in self.factors.iter().enumerate() {
             // One that was dropped in the meantime has no block here.
             if graph.check_factor(*id).is_ok() {
-                blocks.swap(id.index(), self.blocks.at_mut(at));
+                self.blocks.swap(blocks, id.index(), at);
             }
         }
     }
@@ -241,13 +247,13 @@ impl Ahead {
     }
 
     /// Forgets everything.
-    pub(crate) fn clear(&mut self, pool: &mut Pool) {
+    pub(crate) fn clear(&mut self, blocks: &mut Blocks, pool: &mut Pool) {
         for id in self.variables.drain(..) {
             self.place_of_variable[id.index()] = NONE;
         }
         self.points.clear();
         self.factors.drain(..).for_each(|id| self.blocks.forget(id.index()));
-        self.blocks.clear();
+        self.blocks.clear(blocks);
         for clique in self.cliques.drain(..) {
             self.place_of_clique[clique.index as usize] = NONE;
             clique.numeric.into_iter().for_each(|numeric| pool.give(numeric.data));

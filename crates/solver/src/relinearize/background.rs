@@ -116,7 +116,7 @@ impl Smoother {
         });
         match caught_up {
             Ok((fresh, batch)) => {
-                self.ahead.clear(&mut self.scratch.workspace.pool);
+                self.ahead.clear(&mut self.blocks, &mut self.scratch.workspace.pool);
                 let Smoother { graph, points, blocks, tree, solution, newest, at_optimum, .. } =
                     fresh;
                 (self.graph, self.points, self.blocks, self.tree) = (graph, points, blocks, tree);

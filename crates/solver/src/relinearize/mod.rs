@@ -49,7 +49,7 @@ impl Smoother {
     pub(crate) fn set_aside(&mut self, refusal: Option<Refusal>) -> Option<SmootherError> {
         match refusal {
             Some(Refusal::Error(error)) => {
-                self.ahead.clear(&mut self.scratch.workspace.pool);
+                self.ahead.clear(&mut self.blocks, &mut self.scratch.workspace.pool);
                 Some(error)
             }
             Some(Refusal::Ahead) => {
@@ -74,7 +74,7 @@ impl Smoother {
         }
         if self.ahead.is_active() && self.ahead.variables(&self.graph).next().is_none() {
             // All of them have been dropped.
-            self.ahead.clear(&mut self.scratch.workspace.pool);
+            self.ahead.clear(&mut self.blocks, &mut self.scratch.workspace.pool);
         }
         if self.ahead.is_active() {
             return self.advance();
@@ -95,14 +95,15 @@ impl Smoother {
         let smallest = [policy.fluid, policy.sweep]
             .into_iter()
             .flatten()
-            .map(|check| check.threshold)
+            .map(|check| check.reach())
             .fold(f64::INFINITY, f64::min);
         let fine = self.settings.back_substitution_tolerance.min(smallest);
         let coarse = fine.max(COARSE_SHARE * check.threshold);
         let pass = Pass { fine, coarse, is_fine: sweep.is_some(), threshold: smallest };
         let instructions = self.scratch.instructions;
         self.solution.refresh(instructions, &self.graph, &mut self.tree, pass);
-        let moved = self.solution.moved_beyond(&self.graph, check.threshold, smallest);
+        let moved =
+            self.solution.moved_beyond(&self.graph, check.threshold, check.reach(), smallest);
         self.lap(Phase::Solve);
         if moved.is_empty() {
             return;
@@ -144,9 +145,11 @@ impl Smoother {
 
     /// Does a slice of the relinearization in progress.
     fn advance(&mut self) {
+        let left = self.ahead.linearize(&self.graph, &mut self.points, &mut self.blocks);
+        self.lap(Phase::Linearize);
         let (elimination, instructions) = (self.settings.elimination, self.scratch.instructions);
         let system = System::new(&self.graph, &self.blocks, &self.tree, elimination, instructions);
-        self.ahead.advance(&system, &mut self.points, &mut self.scratch.workspace);
+        self.ahead.eliminate(left, &system, &mut self.scratch.workspace);
     }
 
     fn batch_step(&mut self, report: &mut Report) {
