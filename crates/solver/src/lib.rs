@@ -46,6 +46,7 @@
 #![deny(missing_docs)]
 
 mod batch;
+mod covariance;
 mod dense;
 mod diagnose;
 mod eliminate;
@@ -69,6 +70,7 @@ mod undo;
 mod update;
 
 pub use batch::{BatchReport, BatchSettings, Method, Reason, Status};
+pub use covariance::Covariances;
 pub use error::{FreeVariable, Singular, SmootherError};
 pub use inspect::LinearSystem;
 pub use profile::{Phase, Profile};

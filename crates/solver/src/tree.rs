@@ -192,6 +192,11 @@ impl Tree {
         self.cliques[index as usize].as_mut().expect("links of the tree lead to living cliques")
     }
 
+    /// The parent of a clique, unless it is a root.
+    pub(crate) fn parent_of(&self, index: u32) -> Option<u32> {
+        Some(self.clique(index).parent).filter(|&parent| parent != NONE)
+    }
+
     /// The clique that eliminates a variable, or [`NONE`].
     pub(crate) fn clique_of(&self, variable: u32) -> u32 {
         self.clique_of.get(variable as usize).copied().unwrap_or(NONE)
