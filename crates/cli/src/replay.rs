@@ -58,7 +58,8 @@ pub(crate) struct Arguments {
     /// Solve everything to convergence at the end
     #[arg(long, help_heading = "Solving")]
     final_batch: bool,
-    /// Ask for all estimates after every step, as a program does that needs the whole map each time
+    /// Ask for all estimates after every step, as a program does that needs the whole map each time;
+    /// they are computed again where they have moved by more than 1e-3 (m or rad)
     #[arg(long, help_heading = "Solving")]
     full_estimate: bool,
     /// Stop after N steps

@@ -71,6 +71,15 @@ pub struct ValueRef<'a> {
 }
 
 impl<'a> ValueRef<'a> {
+    /// Numbers that a manifold of this kind stored.
+    pub(crate) fn from_storage(
+        kind: &'static VariableType,
+        dim: usize,
+        storage: &'a [f64],
+    ) -> Self {
+        Self { kind, dim, storage }
+    }
+
     /// The value as a `V`, if it is one.
     pub fn get<V: Manifold>(&self) -> Option<V> {
         self.kind.is::<V>().then(|| V::load(self.storage))

@@ -56,6 +56,7 @@ impl Smoother {
                 parent: NONE,
                 children,
                 solved,
+                kept: 0,
                 unfinished: solved > 0,
                 birth: 0,
             };

@@ -113,8 +113,9 @@ pub struct Settings {
     /// When linearization points move. Default: [`Relinearization::BOTH`].
     pub relinearization: Relinearization,
     /// Between updates δ is only propagated down the tree where it moved by more than this (m and
-    /// rad). It decides what a relinearization check sees; estimates that are asked for are always
-    /// exact. Default 1e-3.
+    /// rad). It decides what a relinearization check sees; estimates that are asked for are exact, or
+    /// to within what [`Smoother::kept_estimates`](crate::Smoother::kept_estimates) is given.
+    /// Default 1e-3.
     pub back_substitution_tolerance: f64,
     /// Threads for elimination; 1 never starts another. Results do not depend on it. Default 1.
     pub threads: usize,

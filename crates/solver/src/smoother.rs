@@ -9,6 +9,7 @@ use crate::dense::Instructions;
 use crate::diagnose;
 use crate::eliminate::{self, Eliminated, Failure, Job, System, Workspace};
 use crate::error::SmootherError;
+use crate::kept::Kept;
 use crate::linearization::Blocks;
 use crate::profile::{Phase, Profile};
 use crate::relinearize::{Ahead, Background, Checked};
@@ -34,6 +35,8 @@ pub struct Smoother {
     pub(crate) blocks: Blocks,
     pub(crate) tree: Tree,
     pub(crate) solution: solve::State,
+    /// What was told to whoever asked for everyone's estimate; no part of the state.
+    pub(crate) kept: Kept,
     /// Relinearization in progress.
     pub(crate) ahead: Ahead,
     pub(crate) checked: Checked,
@@ -142,6 +145,7 @@ impl Smoother {
             blocks: Blocks::default(),
             tree: Tree::default(),
             solution: solve::State::default(),
+            kept: Kept::default(),
             ahead: Ahead::default(),
             checked: Checked::default(),
             background: None,

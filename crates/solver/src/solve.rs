@@ -10,34 +10,33 @@ use pulp::{Simd, WithSimd};
 use crate::dense::Instructions;
 use crate::tree::{Clique, NONE, Numeric, Tree};
 
-/// Solves one clique for its frontal scalars from `first` on, given a way to read the separator's δ;
-/// they are left in `scratch`, with zeros before them. O(frontal · front).
-fn solve_clique(
+/// Solves one clique for its frontal scalars from `first` on, which are left in `scratch`; what is
+/// before them means nothing. `read` writes a separator variable's δ to the front of a slice, and
+/// says how long it is. O(frontal · front).
+pub(crate) fn solve_clique(
     instructions: Instructions,
-    graph: &Graph,
     clique: &Clique,
     first: usize,
     scratch: &mut Vec<f64>,
-    read: impl Fn(u32, &mut [f64]),
+    read: impl Fn(u32, &mut [f64]) -> usize,
 ) {
     let layout = clique.numeric.layout;
     let (n, frontal) = (layout.columns(), layout.frontal());
-    scratch.clear();
-    scratch.resize(n, 0.0);
+    scratch.resize(layout.rows(), 0.0);
     let mut at = frontal;
     for &v in &clique.structure.separator {
-        let dim = graph.dim_at(v as usize);
-        read(v, &mut scratch[at..at + dim]);
-        at += dim;
+        at += read(v, &mut scratch[at..]);
     }
-    // The right-hand side is the last entry of a row: it joins the sum with coefficient 1.
+    // The right-hand side is the last entry of a row, before the padding: it joins the sum with
+    // coefficient 1.
     scratch[n - 1] = 1.0;
+    scratch[n..].fill(0.0);
     let op = BackSubstitute { numeric: &clique.numeric, first, solution: scratch };
     instructions.dispatch(layout, op);
     scratch.truncate(frontal);
 }
 
-/// Solves `R_ff δ_f = −d − R_fs δ_s`; the solution has δ_s and 1 behind the frontal part.
+/// Solves `R_ff δ_f = −d − R_fs δ_s`; the solution has δ_s, 1 and zeros behind the frontal part.
 struct BackSubstitute<'a> {
     numeric: &'a Numeric,
     first: usize,
@@ -50,32 +49,45 @@ impl WithSimd for BackSubstitute<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { numeric, first, solution } = self;
-        for j in (first..numeric.layout.frontal()).rev() {
-            let row = numeric.row(j);
-            solution[j] = -dot(simd, &row[1..], &solution[j + 1..]) / row[0];
+        let layout = numeric.layout;
+        let (own, given) = solution.split_at_mut(layout.frontal());
+        let rows = || numeric.panel().chunks_exact(layout.rows()).enumerate().skip(first);
+        // First what no row has to wait for another for: this is most of the work.
+        for (j, row) in rows() {
+            own[j] = dot(simd, &row[layout.frontal()..], given);
+        }
+        for (j, row) in rows().rev() {
+            let sum = own[j] + dot(simd, &row[j + 1..layout.frontal()], &own[j + 1..]);
+            own[j] = -sum / row[j];
         }
     }
 }
 
-/// The inner product, in several interleaved sums.
+/// The inner product, in two interleaved sums. What is not a whole vector comes first: rows end at
+/// whole vectors.
 #[inline(always)]
 fn dot<S: Simd>(simd: S, x: &[f64], y: &[f64]) -> f64 {
-    let (x_head, x_tail) = S::as_simd_f64s(x);
-    let (y_head, y_tail) = S::as_simd_f64s(&y[..x.len()]);
-    let mut sums = [simd.splat_f64s(0.0); 4];
-    let (x_fours, x_rest) = x_head.as_chunks::<4>();
-    let (y_fours, y_rest) = y_head.as_chunks::<4>();
-    for (x, y) in x_fours.iter().zip(y_fours) {
-        for k in 0..4 {
-            sums[k] = simd.mul_add_e_f64s(x[k], y[k], sums[k]);
-        }
+    let rest = x.len() % S::F64_LANES;
+    let (x_rest, x) = x.split_at(rest);
+    let (y_rest, y) = y.split_at(rest);
+    let scalars: f64 = x_rest.iter().zip(y_rest).map(|(x, y)| x * y).sum();
+    let (x_pairs, x_last) = S::as_simd_f64s(x).0.as_chunks::<2>();
+    let (y_pairs, y_last) = S::as_simd_f64s(y).0.as_chunks::<2>();
+    let mut sums = [simd.splat_f64s(0.0); 2];
+    for (x, y) in x_pairs.iter().zip(y_pairs) {
+        sums[0] = simd.mul_add_e_f64s(x[0], y[0], sums[0]);
+        sums[1] = simd.mul_add_e_f64s(x[1], y[1], sums[1]);
     }
-    for (x, y) in x_rest.iter().zip(y_rest) {
+    for (x, y) in x_last.iter().zip(y_last) {
         sums[0] = simd.mul_add_e_f64s(*x, *y, sums[0]);
     }
-    let sum = simd.add_f64s(simd.add_f64s(sums[0], sums[1]), simd.add_f64s(sums[2], sums[3]));
-    let tail: f64 = x_tail.iter().zip(y_tail).map(|(x, y)| x * y).sum();
-    simd.reduce_sum_f64s(sum) + tail
+    scalars + simd.reduce_sum_f64s(simd.add_f64s(sums[0], sums[1]))
+}
+
+/// Copies `from` to the front of `to`; its length.
+pub(crate) fn copy_to_front(from: &[f64], to: &mut [f64]) -> usize {
+    to[..from.len()].copy_from_slice(from);
+    from.len()
 }
 
 /// δ of every variable, exact; laid out by tangent ranges.
@@ -84,8 +96,8 @@ pub(crate) fn all(instructions: Instructions, graph: &Graph, tree: &Tree) -> Vec
     let mut scratch = Vec::new();
     for index in tree.top_down() {
         let clique = tree.clique(index);
-        solve_clique(instructions, graph, clique, 0, &mut scratch, |v, out| {
-            out.copy_from_slice(&delta[graph.tangent_range(v as usize)]);
+        solve_clique(instructions, clique, 0, &mut scratch, |v, out| {
+            copy_to_front(&delta[graph.tangent_range(v as usize)], out)
         });
         let mut at = 0;
         for &v in &clique.structure.frontals {
@@ -117,17 +129,13 @@ pub(crate) fn path(
         // Of the variable's own clique only what is solved before it: of the newest, itself.
         let is_own = index == path[path.len() - 1];
         let first = if is_own { offset_of(graph, clique, variable) } else { 0 };
-        solve_clique(instructions, graph, clique, first, &mut scratch, |v, out| {
+        solve_clique(instructions, clique, first, &mut scratch, |v, out| {
             let owner = tree.clique_of(v);
             let place = places
                 .binary_search_by_key(&owner, |p| p.0)
                 .expect("separators are frontal further up");
-            out.copy_from_slice(frontal_part(
-                graph,
-                tree.clique(owner),
-                &solved[places[place].1],
-                v,
-            ));
+            let solution = &solved[places[place].1];
+            copy_to_front(frontal_part(graph, tree.clique(owner), solution, v), out)
         });
         solved.push(scratch);
     }
@@ -250,8 +258,8 @@ impl State {
     /// Solves a clique, and notes what that changes.
     fn solve(&mut self, instructions: Instructions, graph: &Graph, clique: &Clique, pass: Pass) {
         let mut scratch = std::mem::take(&mut self.scratch);
-        solve_clique(instructions, graph, clique, 0, &mut scratch, |v, out| {
-            out.copy_from_slice(&self.delta[graph.tangent_range(v as usize)]);
+        solve_clique(instructions, clique, 0, &mut scratch, |v, out| {
+            copy_to_front(&self.delta[graph.tangent_range(v as usize)], out)
         });
         let mut at = 0;
         for &v in &clique.structure.frontals {
@@ -299,7 +307,7 @@ impl State {
 }
 
 /// Whether two vectors differ by more than `tolerance` anywhere.
-fn is_beyond(x: &[f64], y: &[f64], tolerance: f64) -> bool {
+pub(crate) fn is_beyond(x: &[f64], y: &[f64], tolerance: f64) -> bool {
     x.iter().zip(y).any(|(x, y)| (x - y).abs() > tolerance)
 }
 

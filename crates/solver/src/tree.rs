@@ -166,6 +166,9 @@ pub(crate) struct Clique {
     pub(crate) children: SmallVec<[u32; 4]>,
     /// When its frontals were last solved for; 0 is never. See [`crate::solve`].
     pub(crate) solved: u64,
+    /// When they were last solved for among the estimates that are kept; 0 is never. See
+    /// [`crate::kept`].
+    pub(crate) kept: u64,
     /// Whether a pass of back-substitution stopped at a child, or somewhere below.
     pub(crate) unfinished: bool,
     /// Number of this clique among all that the tree ever had.
@@ -256,7 +259,7 @@ impl Tree {
     pub(crate) fn replace_numeric(&mut self, index: u32, numeric: Numeric, pool: &mut Pool) {
         let clique = self.clique_mut(index);
         pool.give(std::mem::replace(&mut clique.numeric, numeric).data);
-        clique.solved = 0;
+        (clique.solved, clique.kept) = (0, 0);
     }
 
     /// Tells the children of a new clique that it is their parent.

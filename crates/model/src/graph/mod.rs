@@ -20,7 +20,7 @@ use crate::factor::Factor;
 use crate::key::{FactorId, Key, VariableId, Version};
 use crate::manifold::{Manifold, VariableType};
 use crate::slots::Slots;
-use crate::value::Value;
+use crate::value::{Value, ValueRef};
 
 /// Variables, factors and adjacency.
 ///
@@ -243,6 +243,11 @@ impl Graph {
     /// The value of the variable in a slot from its stored numbers.
     pub fn value(&self, index: usize, storage: &[f64]) -> Value {
         Value::from_storage(self.kind_at(index), self.dim_at(index), storage)
+    }
+
+    /// The value of the variable in a slot, which stays where its stored numbers are.
+    pub fn value_ref<'a>(&self, index: usize, storage: &'a [f64]) -> ValueRef<'a> {
+        ValueRef::from_storage(self.kind_at(index), self.dim_at(index), storage)
     }
 
     /// Slots of the factors on the variable in a slot, in the order they came.
