@@ -303,8 +303,8 @@ pub(crate) struct Policy {
     /// A batch to convergence every N steps, besides the rest of the policy
     #[arg(long, value_name = "N")]
     pub relinearize_every: Option<NonZeroU32>,
-    /// How far an estimate may move (m, rad) before it is relinearized, with all that moved a third
-    /// as far [default: 0.3]
+    /// How far an estimate may move (m, rad) before it is relinearized, with all that moved about a third
+    /// as far [default: 0.25]
     #[arg(long, value_name = "X", allow_negative_numbers = true, value_parser = threshold)]
     pub relinearize_threshold: Option<f64>,
     /// Look for what moved far every N steps [default: 10]

@@ -75,10 +75,10 @@ impl Fluid {
 }
 
 impl Relinearization {
-    /// Every 10 changes what exceeds 0.1, if anything exceeds 0.3, and every 100 a sweep of what
+    /// Every 10 changes what exceeds 0.09, if anything exceeds 0.25, and every 100 a sweep of what
     /// exceeds 0.02; each spread over 10. The default.
     pub const BOTH: Self = Self {
-        fluid: Some(Fluid { threshold: 0.3, share: 1.0 / 3.0, every: interval(10) }),
+        fluid: Some(Fluid { threshold: 0.25, share: 0.36, every: interval(10) }),
         sweep: Some(Fluid { threshold: 0.02, share: 1.0, every: interval(100) }),
         spread: interval(10),
         batch: None,
