@@ -123,6 +123,15 @@ impl<'a> Overlay<'a> {
         old.chain(new)
     }
 
+    /// The factor, unless a step has taken it out.
+    pub(crate) fn factor(&self, source: Source) -> Option<&dyn Factor> {
+        match source {
+            Source::Graph(id) if self.dropped.contains(&id) => None,
+            Source::Graph(id) => self.graph.factor(id).ok().map(|factor| &**factor),
+            Source::Planned(k) => self.added.get(k)?.as_deref(),
+        }
+    }
+
     /// Applies a step: takes variables and factors out and puts factors in; returns the number of
     /// the first of those.
     pub(crate) fn apply(
