@@ -45,6 +45,7 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
+mod covariance;
 mod error;
 mod many;
 mod motion;

@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 use smallvec::{SmallVec, smallvec};
 
+use crate::covariance::{CovarianceRoot, information_root};
 use crate::motion::{carried, pose_of};
 use crate::options::Recovery;
 use crate::qr::{back_substitute, echelon, forward_substitute};
@@ -38,26 +39,47 @@ impl Potential {
         keep([Self { members, rows, relative }])
     }
 
-    /// The terms of a tree: a unary one at the root and one for each edge.
-    pub(crate) fn of_tree(target: &Target, tree: &Tree, recovery: Recovery) -> Vec<Self> {
+    /// The terms of a tree: a unary one at the root and one for each edge. Where the target's
+    /// covariance can be trusted they are taken from that, which costs less.
+    pub(crate) fn of_tree(
+        target: &Target,
+        covariance: Option<&CovarianceRoot>,
+        tree: &Tree,
+        recovery: Recovery,
+    ) -> Vec<Self> {
+        let covariance = covariance.and_then(CovarianceRoot::trusted);
+        let regular = covariance.filter(|_| target.is_regular());
         let root = Self {
             members: smallvec![tree.root],
             rows: match target.is_relative(tree.root) {
                 true => DMatrix::zeros(0, target.dim_of(tree.root)),
-                false => target.marginal_of(tree.root, None),
+                false => regular.map_or_else(
+                    || target.marginal_of(tree.root, None),
+                    |covariance| information_root(&covariance.rows(target, &[tree.root])),
+                ),
             },
             relative: false,
         };
         let edges = tree.edges.iter().map(|&(child, parent)| {
             if let Some(pose) = target.holdable(child, parent) {
                 let seen = if pose == parent { child } else { parent };
-                Self::seen_from(target, pose, seen, target.marginal_of(seen, Some(pose)))
+                let rows = covariance
+                    .and_then(|covariance| covariance.seen(target, pose, seen))
+                    .map_or_else(|| target.marginal_of(seen, Some(pose)), |b| information_root(&b));
+                Self::seen_from(target, pose, seen, rows)
             } else if recovery == Recovery::Nonlinear
                 && let Some(relative) = Self::relative_part(target, parent, child)
             {
                 relative
             } else {
-                Self::conditional(target, child, parent)
+                match regular {
+                    Some(covariance) => Self {
+                        members: smallvec![parent, child],
+                        rows: covariance.conditional(target, child, parent),
+                        relative: false,
+                    },
+                    None => Self::conditional(target, child, parent),
+                }
             }
         });
         keep(std::iter::once(root).chain(edges))

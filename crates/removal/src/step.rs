@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
+use crate::covariance::CovarianceRoot;
 use crate::error::{MakeError, RemovalError};
 use crate::motion::{carried, rotation_part};
 use crate::neighborhood::{Neighborhood, Read};
@@ -126,7 +127,8 @@ impl Draft {
         let replacement = match options.recovery {
             Recovery::Drop => Replacement::nothing(&target, options.topology),
             Recovery::Composition => {
-                let tree = Tree::chow_liu(&target, options.mutual_information);
+                let covariance = CovarianceRoot::of(&target);
+                let tree = Tree::chow_liu(&target, covariance.as_ref(), options.mutual_information);
                 let factors = composition::factors(overlay, &neighborhood, &tree)?;
                 Replacement::composed(&neighborhood, &target, factors)?
             }
@@ -234,13 +236,14 @@ impl Replacement {
     ) -> Result<Self, MakeError> {
         let mut fallback = None;
         if options.topology == Topology::ChowLiu {
-            let tree = Tree::chow_liu(target, options.mutual_information);
+            let covariance = CovarianceRoot::of(target);
+            let tree = Tree::chow_liu(target, covariance.as_ref(), options.mutual_information);
             let kinds: &[Recovery] = match options.recovery {
                 Recovery::Nonlinear => &[Recovery::Nonlinear, Recovery::Glc],
                 _ => &[Recovery::Glc],
             };
             for &recovery in kinds {
-                let potentials = Potential::of_tree(target, &tree, recovery);
+                let potentials = Potential::of_tree(target, covariance.as_ref(), &tree, recovery);
                 let sum = Sum::of(target, &potentials);
                 if sum.rank < target.rank() {
                     fallback = Some(match recovery {

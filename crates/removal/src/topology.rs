@@ -4,7 +4,8 @@ use std::cmp::Ordering;
 
 use nalgebra::DMatrix;
 
-use crate::motion::{carried, pose_of};
+use crate::covariance::CovarianceRoot;
+use crate::motion::pose_of;
 use crate::options::MutualInformation;
 use crate::qr::{echelon, half_log_det, upper_inverse};
 use crate::target::Target;
@@ -37,10 +38,14 @@ impl Weight {
 impl Tree {
     /// The spanning tree of maximum mutual information over the target (equation 1 of the GLC paper,
     /// 16 of the laser paper), rooted where the target knows most of a single variable.
-    pub(crate) fn chow_liu(target: &Target, weights: MutualInformation) -> Self {
+    pub(crate) fn chow_liu(
+        target: &Target,
+        covariance: Option<&CovarianceRoot>,
+        weights: MutualInformation,
+    ) -> Self {
         let n = target.members.len();
         let root = root(target);
-        let weight = weights_of(target, weights);
+        let weight = weights_of(target, covariance, weights);
         // Prim: grow from the root by the heaviest edge that leaves the tree.
         let mut best: Vec<(Weight, usize)> = (0..n).map(|k| (weight(k, root), root)).collect();
         let mut inside = vec![false; n];
@@ -82,14 +87,23 @@ fn root(target: &Target) -> usize {
 type WeightOf<'a> = Box<dyn Fn(usize, usize) -> Weight + 'a>;
 
 /// The way to weigh pairs that fits the target.
-fn weights_of(target: &Target, weights: MutualInformation) -> WeightOf<'_> {
-    match weights {
-        MutualInformation::LogDetPlusIdentity => isam(target),
-        MutualInformation::Limit if target.is_regular() => {
-            let pairs = regular(target, upper_inverse(&target.root));
+fn weights_of<'a>(
+    target: &'a Target,
+    covariance: Option<&'a CovarianceRoot>,
+    weights: MutualInformation,
+) -> WeightOf<'a> {
+    if weights == MutualInformation::LogDetPlusIdentity {
+        return isam(target);
+    }
+    let all_move = || (0..target.members.len()).all(|k| target.is_relative(k));
+    let worlds = target.held.iter().flatten().count();
+    match covariance {
+        Some(covariance) if worlds == 0 => {
+            let pairs = regular(target, |members| covariance.rows(target, members));
             Box::new(move |i, j| Weight { nullity: 0, finite: pairs(i, j) })
         }
-        MutualInformation::Limit => relative(target).unwrap_or_else(|| vanishing_prior(target)),
+        Some(covariance) if worlds == 1 && all_move() => relative(target, covariance),
+        _ => vanishing_prior(target),
     }
 }
 
@@ -100,17 +114,12 @@ fn weights_of(target: &Target, weights: MutualInformation) -> WeightOf<'_> {
 /// ```
 ///
 /// from the rows of a square root `Σ = S Sᵀ`, `S = R⁻¹`.
-fn regular(target: &Target, s: DMatrix<f64>) -> impl Fn(usize, usize) -> f64 + '_ {
-    let single: Vec<f64> = (0..target.members.len())
-        .map(|k| half_log_det(&s.rows_range(target.columns(k)).into_owned()))
-        .collect();
-    move |i, j| {
-        let (first, second) = (s.rows_range(target.columns(i)), s.rows_range(target.columns(j)));
-        let mut both = DMatrix::zeros(first.nrows() + second.nrows(), s.ncols());
-        both.rows_mut(0, first.nrows()).copy_from(&first);
-        both.rows_mut(first.nrows(), second.nrows()).copy_from(&second);
-        single[i] + single[j] - half_log_det(&both)
-    }
+fn regular<'a>(
+    target: &'a Target,
+    rows: impl Fn(&[usize]) -> DMatrix<f64> + 'a,
+) -> impl Fn(usize, usize) -> f64 + 'a {
+    let single: Vec<f64> = (0..target.members.len()).map(|k| half_log_det(&rows(&[k]))).collect();
+    move |i, j| single[i] + single[j] - half_log_det(&rows(&[i, j]))
 }
 
 /// When the target is relative and otherwise regular, the limit in closed form. A prior on one
@@ -123,34 +132,15 @@ fn regular(target: &Target, s: DMatrix<f64>) -> impl Fn(usize, usize) -> f64 + '
 /// with `Σ_rel` the covariance of x_j as seen from the pose x_i, which does not depend on that
 /// prior; and `½ ln |Σ_jj|` grows with its vanishing at the same rate for all variables of a kind,
 /// faster for poses than for points. So poses are joined with each other first, then each point with
-/// a pose. With any pose held, `S = R⁻¹` of the others, and `S_j - A S_i` has the covariance wanted
-/// (A as in [`carried`]).
-fn relative(target: &Target) -> Option<WeightOf<'_>> {
-    let world = match target.held {
-        [Some(held), None] | [None, Some(held)] => held,
-        _ => return None,
-    };
-    let all_move = (0..target.members.len()).all(|k| target.is_relative(k));
-    if !all_move || target.rank() + target.dim_of(world) != target.dim() {
-        return None;
-    }
-    let square = target.root.select_columns(&target.pivots);
-    let inverse = upper_inverse(&square);
-    let mut s = DMatrix::zeros(target.dim(), target.rank());
-    for (row, &column) in target.pivots.iter().enumerate() {
-        s.set_row(column, &inverse.row(row));
-    }
-    Some(Box::new(move |i, j| {
-        let is_pose = |k: usize| pose_of(target.members[k].value.kind()).is_some();
-        let (pose, other) = if is_pose(i) { (i, j) } else { (j, i) };
-        let (from, to) = (&target.members[pose].value, &target.members[other].value);
-        let Some(motion) = carried(from, to).filter(|_| is_pose(pose)) else {
-            return Weight::NONE;
-        };
-        let mut seen = s.rows_range(target.columns(other)).into_owned();
-        seen -= motion * s.rows_range(target.columns(pose));
+/// a pose.
+fn relative<'a>(target: &'a Target, covariance: &'a CovarianceRoot) -> WeightOf<'a> {
+    Box::new(move |i, j| {
+        let is_pose = |&k: &usize| pose_of(target.members[k].value.kind()).is_some();
+        let Some(pose) = [i, j].into_iter().find(is_pose) else { return Weight::NONE };
+        let other = if pose == i { j } else { i };
+        let Some(seen) = covariance.seen(target, pose, other) else { return Weight::NONE };
         Weight { nullity: target.dim_of(other) as i64, finite: -half_log_det(&seen) }
-    }))
+    })
 }
 
 /// Any other singular target: the mutual information under two priors `ε I` in column-scaled
@@ -170,7 +160,10 @@ fn vanishing_prior(target: &Target) -> WeightOf<'_> {
             stack[(target.rank() + k, k)] = prior;
         }
         echelon(&mut stack, n, &vec![0.0; n]);
-        regular(target, upper_inverse(&stack.rows(0, n).into_owned()))
+        let s = upper_inverse(&stack.rows(0, n).into_owned());
+        regular(target, move |members| {
+            s.select_rows(&members.iter().flat_map(|&m| target.columns(m)).collect::<Vec<_>>())
+        })
     };
     let (weak, weaker) = (under(ROOTS[0]), under(ROOTS[1]));
     Box::new(move |i, j| {

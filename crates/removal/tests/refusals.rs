@@ -1,4 +1,6 @@
 //! Plans that are refused, and why.
+// Helpers of tests fail the test.
+#![allow(clippy::unwrap_used)]
 
 mod common;
 

@@ -1,5 +1,6 @@
 //! Random graphs with factors of every kind, and what a removal should do by plain dense algebra.
-#![allow(dead_code)]
+// Each test file uses a part of it; what fails here fails a test.
+#![allow(dead_code, clippy::unwrap_used)]
 
 use evergraph_factors::*;
 use evergraph_model::*;
