@@ -247,7 +247,7 @@ impl Work<'_, '_> {
                 crate::price::divergence(&sigma, &draft.before, &draft.after, &draft.gradient);
             draft.step.price = Some(price.ok_or_else(|| RemovalError::Covariance {
                 variables: blanket.clone(),
-                reason: "it is not positive definite".into(),
+                reason: "it is not positive definite, or too large".into(),
             })?);
         }
         Ok(draft)

@@ -58,7 +58,7 @@ pub(crate) fn joint(
 /// graph's marginals over everything kept, because given the blanket the distribution of the rest is
 /// the same before and after. Infinite when a direction of the blanket would become free.
 ///
-/// `None` when Σ is not positive definite. O(n³).
+/// `None` when Σ is not positive definite, or its product with the information overflows. O(n³).
 pub(crate) fn divergence(
     sigma: &DMatrix<f64>,
     target: &DMatrix<f64>,
@@ -69,6 +69,10 @@ pub(crate) fn divergence(
     let l = symmetric.cholesky()?.l();
     let (before, after) = (target * &l, new * &l);
     let change = after.tr_mul(&after) - before.tr_mul(&before);
+    // Numbers that left the range of `f64`; an eigenvalue iteration would not end on them.
+    if change.iter().chain(gradient.iter()).any(|x| !x.is_finite()) {
+        return None;
+    }
     let eigen = change.symmetric_eigen();
     let shift = eigen.eigenvectors.tr_mul(&l.tr_mul(gradient));
     let terms = eigen.eigenvalues.iter().zip(shift.iter()).map(|(&x, &s)| {

@@ -264,14 +264,21 @@ fn starts(dims: impl Iterator<Item = usize>) -> Vec<usize> {
     starts
 }
 
+/// A column of a factor counts as no smaller than this share of the factor's largest. What cancels
+/// within a factor, as in the columns of the root of a root shift, leaves rounding of the size of the
+/// others, which must not be measured by itself. Three orders of magnitude are left for columns of
+/// different units.
+const WITHIN_A_FACTOR: f64 = 1e-3;
+
 /// Norm of every scalar column of all rows together.
 fn stack_norms(rows: &[Rows], starts: &[usize]) -> Vec<f64> {
     let mut norms = vec![0.0_f64; starts[starts.len() - 1]];
     for block in rows {
         let columns = block.members.iter().flat_map(|&m| starts[m]..starts[m + 1]);
         let own = column_norms(&block.matrix, block.matrix.ncols() - 1);
+        let floor = WITHIN_A_FACTOR * own.iter().copied().fold(0.0, f64::max);
         for (column, norm) in columns.zip(own) {
-            norms[column] = norms[column].hypot(norm);
+            norms[column] = norms[column].hypot(norm.max(floor));
         }
     }
     norms
@@ -282,8 +289,8 @@ fn stack_norms(rows: &[Rows], starts: &[usize]) -> Vec<f64> {
 fn is_relative(rows: &Rows, motions: &[Option<DMatrix<f64>>], starts: &[usize]) -> bool {
     let directions = motions.iter().flatten().map(|m| m.ncols()).next().unwrap_or(0);
     let (count, mut column) = (rows.matrix.nrows(), 0);
-    let mut sum = DMatrix::zeros(count, directions);
-    let mut size = DMatrix::zeros(count, directions);
+    let mut sum = DMatrix::<f64>::zeros(count, directions);
+    let mut size = DMatrix::<f64>::zeros(count, directions);
     for &m in &rows.members {
         let dim = starts[m + 1] - starts[m];
         if let Some(motion) = &motions[m] {
@@ -293,7 +300,11 @@ fn is_relative(rows: &Rows, motions: &[Option<DMatrix<f64>>], starts: &[usize]) 
         }
         column += dim;
     }
-    sum.iter().zip(size.iter()).all(|(s, size): (&f64, &f64)| s.abs() <= RANK_TOLERANCE * size)
+    (0..count).all(|i| {
+        let floor = WITHIN_A_FACTOR * size.row(i).max();
+        let cancels = |j| f64::abs(sum[(i, j)]) <= RANK_TOLERANCE * size[(i, j)].max(floor);
+        (0..directions).all(cancels)
+    })
 }
 
 /// The removed nodes by minimum degree; ties to the lower place.

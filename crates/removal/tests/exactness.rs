@@ -5,7 +5,9 @@
 mod common;
 
 use common::*;
-use evergraph_removal::{Fallback, Options, Recovery, Topology};
+use evergraph_factors::Linear;
+use evergraph_model::VariableId;
+use evergraph_removal::{Fallback, Options, Order, Recovery, Removal, RootShift, Topology};
 use proptest::prelude::*;
 
 fn check_information_and_gradient(kind: Kind, count: usize, seed: u64, options: Options) {
@@ -39,6 +41,80 @@ proptest! {
         for recovery in [Recovery::Glc, Recovery::Nonlinear] {
             let options = Options { recovery, ..Options::default() };
             check_information_and_gradient(KINDS[kind], count, seed, options);
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None, ..Default::default() })]
+
+    /// Several nodes of any kinds in one plan: later ones read what earlier ones leave.
+    #[test]
+    fn no_direction_becomes_free_by_many_removals(
+        kind in 0..KINDS.len(), count in 4..7usize, seed: u64, removed in 1..4usize,
+    ) {
+        let scene = neighborhood(KINDS[kind], count, seed);
+        let ids = scene.ids();
+        // Some have no factor at all.
+        let nodes: Vec<VariableId> = ids
+            .iter()
+            .copied()
+            .filter(|&id| !scene.graph.factors_of(id).unwrap().is_empty())
+            .take(removed)
+            .collect();
+        let kept: Vec<VariableId> = ids.iter().copied().filter(|id| !nodes.contains(id)).collect();
+        let order: Vec<VariableId> = nodes.iter().chain(&kept).copied().collect();
+        let full = scene.stack(scene.graph.factors().map(|(_, f)| f), &order);
+        let gone = nodes.iter().map(|id| scene.graph.dim_at(id.index())).sum();
+        let expected = rank(&full.0) - rank(&full.0.columns(0, gone).into_owned());
+        for options in [
+            Options::default(),
+            Options::dense(),
+            Options { recovery: Recovery::Nonlinear, ..Options::default() },
+            Options { root_shift: RootShift::InverseRoot, ..Options::default() },
+            Options { intra_clique: false, ..Options::default() },
+        ] {
+            for plan_order in [Order::Given, Order::Random(seed), Order::MinDegree] {
+                let plan = Removal::new(&scene.graph, &scene.values())
+                    .with_options(options)
+                    .plan_many(&nodes, plan_order)
+                    .unwrap();
+                let mut graph = scene.graph.clone();
+                let staged = graph.stage(plan.change()).unwrap();
+                graph.commit(staged);
+                let after = Scene { graph, data: scene.data.clone() };
+                let stack = after.stack(after.graph.factors().map(|(_, f)| f), &kept);
+                prop_assert_eq!(rank(&stack.0), expected);
+                if options.topology == Topology::Dense {
+                    let before = normal(&full);
+                    let (lambda, _) = schur(&before, gone);
+                    let floor = 1e-3 * before.0.diagonal().max().sqrt();
+                    let scale: Vec<f64> = (gone..before.0.nrows())
+                        .map(|i| before.0[(i, i)].sqrt().max(floor))
+                        .collect();
+                    assert_close(&normal(&stack).0, &lambda, &scale, 1e-9, "information");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_relative_has_no_trace_of_the_world() {
+    for kind in [Kind::Plane, Kind::Space] {
+        for seed in 0..10 {
+            let scene = neighborhood(kind, 5, seed);
+            for options in [Options::default(), Options::dense()] {
+                for root_shift in [RootShift::Root, RootShift::InverseRoot] {
+                    let plan = scene.plan(scene.ids()[0], Options { root_shift, ..options });
+                    for (_, factor) in plan.change().new_factors() {
+                        let (linear, _) = factor.downcast::<Linear>().unwrap();
+                        assert_eq!(linear.root_shift(), root_shift);
+                        let dim = linear.linearization_points()[0].dim();
+                        assert_eq!(linear.sqrt_information().columns(0, dim).amax(), 0.0);
+                    }
+                }
+            }
         }
     }
 }

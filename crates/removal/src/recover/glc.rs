@@ -74,7 +74,7 @@ pub(crate) fn factor(
         }
     }
     if let Rank::Absolute(tolerance) = options.rank {
-        rows = principal(&rows, tolerance);
+        rows = principal(&rows, tolerance)?;
     }
     if rows.nrows() == 0 {
         return Ok(None);
@@ -92,12 +92,16 @@ fn shift(variables: &[(VariableId, Value)], wanted: RootShift) -> RootShift {
 
 /// `D^½ Uᵀ` of equations 8 and 9, with the eigenvalues above an absolute tolerance times their
 /// number, as iSAM 1.7 takes them.
-fn principal(rows: &DMatrix<f64>, tolerance: f64) -> DMatrix<f64> {
-    let eigen = rows.tr_mul(rows).symmetric_eigen();
+fn principal(rows: &DMatrix<f64>, tolerance: f64) -> Result<DMatrix<f64>, MakeError> {
+    let information = rows.tr_mul(rows);
+    if information.iter().any(|x| !x.is_finite()) {
+        return Err(MakeError::NotFinite("its information"));
+    }
+    let eigen = information.symmetric_eigen();
     let n = eigen.eigenvalues.len();
     let kept: Vec<usize> =
         (0..n).filter(|&k| eigen.eigenvalues[k] > tolerance * n as f64).collect();
-    DMatrix::from_fn(kept.len(), n, |i, j| {
+    Ok(DMatrix::from_fn(kept.len(), n, |i, j| {
         eigen.eigenvalues[kept[i]].sqrt() * eigen.eigenvectors[(j, kept[i])]
-    })
+    }))
 }

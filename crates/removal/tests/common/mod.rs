@@ -192,8 +192,10 @@ pub fn assert_same_gradient(a: &DVector<f64>, b: &DVector<f64>, answer: &Answer,
 /// Rank of a stack by the singular values of its column-scaled form.
 pub fn rank(stack: &DMatrix<f64>) -> usize {
     let mut scaled = stack.clone();
+    // Columns that are rounding alone count as nothing.
+    let floor = 1e-4 * scaled.column_iter().map(|c| c.norm()).fold(0.0, f64::max);
     for mut column in scaled.column_iter_mut() {
-        let norm = column.norm();
+        let norm = column.norm().max(floor);
         if norm > 0.0 {
             column /= norm;
         }
