@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::motion::carried;
-use crate::qr::{echelon, upper_inverse};
+use crate::qr::{triangle, upper_inverse};
 use crate::target::Target;
 
 /// Pivots below this share of their column's norm make an inverse that has lost half of the digits
@@ -79,7 +79,7 @@ impl CovarianceRoot {
     ///
     /// so `R_ii = U_ii⁻ᵀ` and `R_ij = -R_ii Σ_ij Σ_jj⁻¹ = -U_ii⁻ᵀ U_jiᵀ U_jj⁻ᵀ`.
     pub(crate) fn conditional(&self, target: &Target, child: usize, parent: usize) -> DMatrix<f64> {
-        let u = triangle(&self.rows(target, &[parent, child]));
+        let u = triangle(self.rows(target, &[parent, child]).transpose());
         // The lower rows of U⁻ᵀ are these very blocks.
         let inverse = upper_inverse(&u).transpose();
         let first = target.dim_of(parent);
@@ -89,13 +89,5 @@ impl CovarianceRoot {
 
 /// The root of the information whose covariance is `B Bᵀ`: `U⁻ᵀ` with `Bᵀ = Q U`.
 pub(crate) fn information_root(b: &DMatrix<f64>) -> DMatrix<f64> {
-    upper_inverse(&triangle(b)).transpose()
-}
-
-/// `U` with `Bᵀ = Q U`.
-fn triangle(b: &DMatrix<f64>) -> DMatrix<f64> {
-    let mut transposed = b.transpose();
-    let n = transposed.ncols();
-    echelon(&mut transposed, n, &vec![0.0; n]);
-    transposed.rows(0, n).into_owned()
+    upper_inverse(&triangle(b.transpose())).transpose()
 }

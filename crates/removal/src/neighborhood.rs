@@ -57,7 +57,8 @@ impl Neighborhood {
         }
         let blanket = blanket(overlay, removed);
         let Some(&first) = removed.first() else { return Err(RemovalError::Nothing) };
-        if blanket.is_empty() {
+        // Earlier steps may have found that nothing is known between it and the rest.
+        if blanket.is_empty() && !overlay.leads_to_kept(removed) {
             return Err(RemovalError::NoBlanket { variable: first });
         }
         let poses = |ids: &[VariableId]| {

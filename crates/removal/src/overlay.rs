@@ -123,6 +123,26 @@ impl<'a> Overlay<'a> {
         old.chain(new)
     }
 
+    /// Whether a way over factors of the graph, through removed variables, leads from `start` to a
+    /// variable that stays.
+    pub(crate) fn leads_to_kept(&self, start: &[VariableId]) -> bool {
+        let mut seen: BTreeSet<VariableId> = start.iter().copied().collect();
+        let mut queue = start.to_vec();
+        while let Some(variable) = queue.pop() {
+            for &factor in self.graph.factors_at(variable.index()) {
+                for &key in self.graph.factor_at(factor as usize).keys() {
+                    if seen.insert(key) {
+                        if !self.removed.contains(&key) {
+                            return true;
+                        }
+                        queue.push(key);
+                    }
+                }
+            }
+        }
+        false
+    }
+
     /// The factor, unless a step has taken it out.
     pub(crate) fn factor(&self, source: Source) -> Option<&dyn Factor> {
         match source {

@@ -238,7 +238,10 @@ impl Work<'_, '_> {
     /// Plans a step on what the steps before it have left, and prices it if that can be done.
     pub(crate) fn draft(&mut self, removed: &[VariableId]) -> Result<Draft, RemovalError> {
         let mut draft = Draft::of(self.overlay, removed, self.options)?;
-        if let Some(covariance) = self.covariance.as_deref_mut() {
+        if draft.step.blanket.is_empty() {
+            // Nothing that is kept depends on it.
+            draft.step.price = self.covariance.as_ref().map(|_| 0.0);
+        } else if let Some(covariance) = self.covariance.as_deref_mut() {
             let blanket = &draft.step.blanket;
             let dims: Vec<usize> =
                 blanket.iter().map(|id| self.overlay.graph.dim_at(id.index())).collect();

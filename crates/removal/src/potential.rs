@@ -136,10 +136,11 @@ impl Potential {
         first += step;
         let scales: Vec<f64> =
             [pose, seen].iter().flat_map(|&m| target.scales[target.columns(m)].to_vec()).collect();
-        let width = rows.ncols();
-        let pivots = echelon(&mut rows, width, &scales);
-        let top = pivots.iter().filter(|&&p| p < dim).count();
-        let rows = rows.view((top, dim), (pivots.len() - top, width - dim)).into_owned();
+        let top = echelon(&mut rows, dim, &scales).len();
+        let (height, width) = (rows.nrows() - top, rows.ncols() - dim);
+        let mut rows = rows.view((top, dim), (height, width)).into_owned();
+        let rank = echelon(&mut rows, width, &scales[dim..]).len();
+        let rows = rows.rows(0, rank).into_owned();
         Some(Self::seen_from(target, pose, seen, rows))
     }
 

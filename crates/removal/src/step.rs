@@ -125,6 +125,7 @@ impl Draft {
             reason: error.to_string(),
         };
         let replacement = match options.recovery {
+            _ if target.members.is_empty() => Replacement::nothing(&target, options.topology),
             Recovery::Drop => Replacement::nothing(&target, options.topology),
             Recovery::Composition => {
                 let covariance = CovarianceRoot::of(&target);

@@ -7,7 +7,7 @@ use nalgebra::DMatrix;
 use crate::covariance::CovarianceRoot;
 use crate::motion::pose_of;
 use crate::options::MutualInformation;
-use crate::qr::{echelon, half_log_det, upper_inverse};
+use crate::qr::{half_log_det, triangle, upper_inverse};
 use crate::target::Target;
 
 /// A spanning tree of the blanket.
@@ -159,8 +159,7 @@ fn vanishing_prior(target: &Target) -> WeightOf<'_> {
             }
             stack[(target.rank() + k, k)] = prior;
         }
-        echelon(&mut stack, n, &vec![0.0; n]);
-        let s = upper_inverse(&stack.rows(0, n).into_owned());
+        let s = upper_inverse(&triangle(stack));
         regular(target, move |members| {
             s.select_rows(&members.iter().flat_map(|&m| target.columns(m)).collect::<Vec<_>>())
         })
