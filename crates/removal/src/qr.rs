@@ -35,9 +35,9 @@ pub(crate) fn echelon(a: &mut DMatrix<f64>, columns: usize, scales: &[f64]) -> V
     let mut pivots = Vec::with_capacity(columns.min(rows));
     let mut waiting = Vec::new();
     let mut reflector = Vec::with_capacity(rows);
-    for column in 0..columns {
+    for (column, scale) in scales.iter().enumerate().take(columns) {
         let left = norm(&a.column(column).as_slice()[pivots.len()..]);
-        if left > WAITS * scales[column] {
+        if left > WAITS * scale {
             reflect(a, pivots.len(), column, left, &waiting, column + 1, &mut reflector);
             pivots.push(column);
         } else {
