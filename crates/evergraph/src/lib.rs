@@ -77,6 +77,7 @@ pub use evergraph_evaluate as evaluate;
 pub use evergraph_factors as factors;
 pub use evergraph_formats as formats;
 pub use evergraph_model as model;
+pub use evergraph_removal as removal;
 pub use evergraph_simulate as simulate;
 pub use evergraph_solver as solver;
 

@@ -4,6 +4,7 @@ use evergraph_model::{
     LieGroup, Manifold, Point2, Point3, Pose2, Pose3, Rot2, Rot3, Value, VariableType, VectorN,
 };
 use nalgebra::{DMatrix, SMatrix};
+use serde::{Deserialize, Serialize};
 
 use crate::error::FactorError;
 use crate::prior::LocalJacobian;
@@ -14,7 +15,8 @@ use crate::prior::LocalJacobian;
 /// where they stand in the world (section II-C of the GLC paper). With a shift the first variable,
 /// a pose, is the root; every other pose of the root's type is seen from it; variables of other
 /// kinds stay as they are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum RootShift {
     /// `(x₁, x₂, …)`: linear in the world frame.
     None,

@@ -1,0 +1,93 @@
+//! The covariance of a target, as a square root.
+
+use nalgebra::DMatrix;
+
+use crate::motion::carried;
+use crate::qr::{triangle, upper_inverse};
+use crate::target::Target;
+
+/// Pivots below this share of their column's norm make an inverse that has lost half of the digits
+/// or more; the information of pairs is then taken from `R_t` itself.
+const TRUSTED: f64 = 1e-5;
+
+/// `S` with `Σ = S Sᵀ`, held poses held where they are: `S = R⁻¹`. Exists when the target is regular
+/// but for the common motions that nothing sees.
+///
+/// One inverse serves all pairs: what is known of a pair follows from its rows of S at a cost linear
+/// in the blanket, where eliminating all others from `R_t` is cubic.
+#[derive(Clone, Debug)]
+pub(crate) struct CovarianceRoot {
+    s: DMatrix<f64>,
+    trusted: bool,
+}
+
+impl CovarianceRoot {
+    /// O(n³).
+    pub(crate) fn of(target: &Target) -> Option<Self> {
+        let held: usize = target.held.iter().flatten().map(|&held| target.dim_of(held)).sum();
+        if target.rank() + held != target.dim() {
+            return None;
+        }
+        let square = target.root.select_columns(&target.pivots);
+        let inverse = upper_inverse(&square);
+        let mut s = DMatrix::zeros(target.dim(), target.rank());
+        for (row, &column) in target.pivots.iter().enumerate() {
+            s.set_row(column, &inverse.row(row));
+        }
+        let trusted = target
+            .pivots
+            .iter()
+            .enumerate()
+            .all(|(row, &column)| square[(row, row)].abs() > TRUSTED * target.scales[column]);
+        Some(Self { s, trusted })
+    }
+
+    /// Itself, if its numbers are good enough to make factors of.
+    pub(crate) fn trusted(&self) -> Option<&Self> {
+        self.trusted.then_some(self)
+    }
+
+    /// The rows of some members under each other.
+    pub(crate) fn rows(&self, target: &Target, members: &[usize]) -> DMatrix<f64> {
+        let mut rows =
+            DMatrix::zeros(members.iter().map(|&m| target.dim_of(m)).sum(), self.s.ncols());
+        let mut top = 0;
+        for &m in members {
+            let own = self.s.rows_range(target.columns(m));
+            rows.rows_mut(top, own.nrows()).copy_from(&own);
+            top += own.nrows();
+        }
+        rows
+    }
+
+    /// A root of the covariance of `other` as seen from `pose`: `S_j - A S_i` with A of [`carried`].
+    pub(crate) fn seen(&self, target: &Target, pose: usize, other: usize) -> Option<DMatrix<f64>> {
+        let motion = carried(&target.members[pose].value, &target.members[other].value)?;
+        let mut seen = self.rows(target, &[other]);
+        seen.gemm(-1.0, &motion, &self.s.rows_range(target.columns(pose)), 1.0);
+        Some(seen)
+    }
+
+    /// `[R_ij R_ii]`, the information of `child` given `parent` (equations 2 to 4 of the GLC paper)
+    /// in columns of the parent, then of the child. From the QR of the rows of both, the parent's
+    /// first,
+    ///
+    /// ```text
+    /// [U_jj  U_ji]    Σ_jj = U_jjᵀ U_jj,  Σ_ij = U_jiᵀ U_jj,  Σ_i|j = U_iiᵀ U_ii
+    /// [ 0    U_ii]
+    /// ```
+    ///
+    /// so `R_ii = U_ii⁻ᵀ` and `R_ij = -R_ii Σ_ij Σ_jj⁻¹ = -U_ii⁻ᵀ U_jiᵀ U_jj⁻ᵀ`.
+    pub(crate) fn conditional(&self, target: &Target, child: usize, parent: usize) -> DMatrix<f64> {
+        let u = triangle(self.rows(target, &[parent, child]).transpose());
+        // The lower rows of U⁻ᵀ are these very blocks.
+        let inverse = upper_inverse(&u).transpose();
+        let first = target.dim_of(parent);
+        inverse.rows(first, inverse.nrows() - first).into_owned()
+    }
+}
+
+/// The root of the information whose covariance is `B Bᵀ`: `U⁻ᵀ` with `Bᵀ = Q U`.
+pub(crate) fn information_root(b: &DMatrix<f64>) -> DMatrix<f64> {
+    upper_inverse(&triangle(b.transpose())).transpose()
+}

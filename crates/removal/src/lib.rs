@@ -1,0 +1,72 @@
+//! Removing nodes from a factor graph without losing what they know.
+//!
+//! A robot that goes on for years visits the same places again and again. What grows with time has
+//! to be removed, and dropping a pose with its factors loses what they say of *other* poses. This
+//! crate plans the removal of nodes between updates, by reading only, and gives back an ordinary
+//! [`Change`](evergraph_model::Change) with its price:
+//!
+//! 1. The **Markov blanket** of the node and the factors `Z_m` on these variables only.
+//! 2. The **target information** `Λ_t = R_tᵀR_t`, what `Z_m` says of the blanket with the node
+//!    eliminated.
+//! 3. The **topology**: one factor on the whole blanket, or the **Chow-Liu tree** of most mutual
+//!    information.
+//! 4. The **recovery**: each term becomes a **generic linear constraint** in root-shifted
+//!    coordinates, or an ordinary factor, placed such that the gradient is kept.
+//! 5. The **price**: the Kullback-Leibler divergence of the map after from the map before.
+//!
+//! Throughout, ξ is a right perturbation at the estimate and η = -Σ Jᵀ r. Everything is done on
+//! square roots: no `JᵀJ` is formed, so that ranks are told down to 1e-10 of a column's norm and
+//! what is relative stays exactly that.
+//!
+//! # What is promised
+//!
+//! - Removal with [`Topology::Dense`] is exact at the estimate, information and gradient. A tree has
+//!   the exact gradient, and of all trees the least divergence in the regular case.
+//! - `null(Λ') = null(Λ_t)`: no direction becomes free, whatever the rest of the graph. Where a tree
+//!   cannot do that, the step says what took its place ([`Fallback`]).
+//! - Removal at the optimum moves nothing ([`Offset::KeepGradient`]).
+//! - A plan goes stale, rather than wrong, when anything that it read changes ([`Plan`]).
+//!
+//! # When not to remove
+//!
+//! A linear factor is right where it was made. Far from the optimum, before the loop closures around
+//! a node are settled, or under a robust factor that may still change its mind, wait.
+//!
+//! # References
+//!
+//! - N. Carlevaris-Bianco, R. Eustice, "Long-Term Simultaneous Localization and Mapping with Generic
+//!   Linear Constraint Node Removal", IROS 2013 ("the GLC paper").
+//! - H. Kretzschmar, C. Stachniss, G. Grisetti, "Efficient Information-Theoretic Graph Pruning for
+//!   Graph-Based SLAM with Laser Range Finders", IROS 2011 ("the laser paper").
+//! - M. Mazuran, W. Burgard, G. D. Tipaldi, "Nonlinear Factor Recovery for Long-Term SLAM", IJRR
+//!   2016.
+//! - M. Heath, "Some Extensions of an Algorithm for Sparse Linear Least Squares Problems", SIAM
+//!   J. Sci. Stat. Comput. 1982: ranks from QR.
+#![forbid(unsafe_code)]
+#![deny(missing_docs)]
+
+mod covariance;
+mod error;
+mod many;
+mod motion;
+mod neighborhood;
+mod options;
+mod order;
+mod overlay;
+mod plan;
+mod potential;
+mod price;
+mod qr;
+mod recover;
+mod step;
+mod target;
+mod topology;
+
+pub use error::RemovalError;
+pub use evergraph_factors::RootShift;
+pub use options::{Guard, MutualInformation, Offset, Options, Rank, Recovery, Topology};
+pub use order::Order;
+pub use overlay::{Estimates, Source};
+pub use plan::{Plan, Removal};
+pub use price::Covariance;
+pub use step::{Fallback, NewFactor, Step};

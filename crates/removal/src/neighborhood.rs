@@ -1,0 +1,200 @@
+//! What a removal reads: the Markov blanket of the removed nodes and the factors inside it.
+
+use evergraph_model::{Arguments, Factor, Linearization, Value, VariableId};
+use nalgebra::DMatrix;
+use smallvec::SmallVec;
+
+use crate::error::RemovalError;
+use crate::options::Options;
+use crate::overlay::{Overlay, Source};
+
+/// A variable with its estimate.
+#[derive(Clone, Debug)]
+pub(crate) struct Member {
+    pub(crate) id: VariableId,
+    pub(crate) value: Value,
+}
+
+/// A factor at the estimate: the rows `[J₁ … Jₖ | b]` with `b = -r`.
+#[derive(Clone, Debug)]
+pub(crate) struct Read {
+    pub(crate) source: Source,
+    /// Places of its variables among the members.
+    pub(crate) members: SmallVec<[usize; 4]>,
+    pub(crate) rows: DMatrix<f64>,
+    /// Its term of the objective.
+    pub(crate) error: f64,
+    /// What a robust kernel leaves of its information; 1 without one.
+    pub(crate) weight: f64,
+}
+
+/// `X_m` and `Z_m` of the paper (section II-A): the removed nodes, their blanket, and the factors
+/// that are on those variables only.
+#[derive(Clone, Debug)]
+pub(crate) struct Neighborhood {
+    /// The removed nodes first, then the blanket by id.
+    pub(crate) members: Vec<Member>,
+    /// How many of them are removed.
+    pub(crate) removed: usize,
+    /// `Z_m`, less what is rejected.
+    pub(crate) factors: Vec<Read>,
+    /// Factors on the nodes whose robust weight is too low to be absorbed.
+    pub(crate) rejected: Vec<Read>,
+}
+
+impl Neighborhood {
+    /// Reads the neighborhood of `removed`, which are connected to each other or a single node.
+    ///
+    /// O(size of the neighborhood, and the number of factors on its variables).
+    pub(crate) fn of(
+        overlay: &Overlay<'_>,
+        removed: &[VariableId],
+        options: &Options,
+        intra_clique: bool,
+    ) -> Result<Self, RemovalError> {
+        for &variable in removed {
+            overlay.check(variable)?;
+        }
+        let blanket = blanket(overlay, removed);
+        let Some(&first) = removed.first() else { return Err(RemovalError::Nothing) };
+        // Earlier steps may have found that nothing is known between it and the rest.
+        if blanket.is_empty() && !overlay.leads_to_kept(removed) {
+            return Err(RemovalError::NoBlanket { variable: first });
+        }
+        let poses = |ids: &[VariableId]| {
+            let kinds = ids.iter().map(|id| overlay.graph.kind_at(id.index()));
+            kinds.filter(|kind| crate::motion::pose_of(kind).is_some()).count()
+        };
+        let removed_poses = poses(removed);
+        if removed_poses > 0 && removed_poses == overlay.poses() {
+            return Err(RemovalError::LastPose { variable: first });
+        }
+        let members = removed
+            .iter()
+            .chain(&blanket)
+            .map(|&id| Ok(Member { id, value: overlay.estimate(id)? }))
+            .collect::<Result<Vec<_>, RemovalError>>()?;
+        let mut neighborhood =
+            Self { members, removed: removed.len(), factors: Vec::new(), rejected: Vec::new() };
+        let places = Places::new(removed, &blanket);
+        for &id in removed {
+            for (source, factor) in overlay.factors_of(id) {
+                // Every removed variable of the factor comes by; the first one takes it.
+                let first = factor.keys().iter().filter_map(|&key| places.removed(key)).min();
+                if first == places.removed(id) {
+                    let read = neighborhood.read(source, factor, &places)?;
+                    if read.weight < options.least_weight {
+                        neighborhood.rejected.push(read);
+                    } else {
+                        neighborhood.factors.push(read);
+                    }
+                }
+            }
+        }
+        if intra_clique {
+            for &id in &blanket {
+                for (source, factor) in overlay.factors_of(id) {
+                    let inside = factor.keys().first() == Some(&id)
+                        && factor.keys().iter().all(|&key| places.blanket(key).is_some());
+                    if inside {
+                        let read = neighborhood.read(source, factor, &places)?;
+                        if read.weight >= options.least_weight {
+                            neighborhood.factors.push(read);
+                        }
+                    }
+                }
+            }
+        }
+        Ok(neighborhood)
+    }
+
+    /// Linearizes a factor on members that is not in the graph.
+    pub(crate) fn read_new(&self, factor: &dyn Factor) -> Result<Read, RemovalError> {
+        let ids: Vec<VariableId> = self.members.iter().map(|m| m.id).collect();
+        let (removed, blanket) = ids.split_at(self.removed);
+        self.read(Source::Planned(0), factor, &Places::new(removed, blanket))
+    }
+
+    /// Linearizes a factor. A robust factor writes rows scaled by the root of its weight, so the
+    /// weight is frozen at the estimate by taking them as they are.
+    fn read(
+        &self,
+        source: Source,
+        factor: &dyn Factor,
+        places: &Places<'_>,
+    ) -> Result<Read, RemovalError> {
+        let non_finite = || RemovalError::NonFiniteFactor {
+            factor: source.to_string(),
+            name: factor.name(),
+            variables: factor.keys().to_vec(),
+        };
+        let members: SmallVec<[usize; 4]> =
+            factor.keys().iter().filter_map(|&key| places.of(key)).collect();
+        let storages: SmallVec<[&[f64]; 4]> =
+            members.iter().map(|&m| self.members[m].value.storage()).collect();
+        let arguments = Arguments::new(&storages);
+        let mut columns: SmallVec<[u32; 5]> = SmallVec::from_slice(&[0]);
+        let mut width = 0;
+        for &m in &members {
+            width += self.members[m].value.dim();
+            columns.push(width as u32);
+        }
+        let dim = factor.residual_dim();
+        let mut residual: SmallVec<[f64; 8]> = SmallVec::from_elem(0.0, dim);
+        factor.residual(&arguments, &mut residual);
+        let error = factor.error(&residual);
+        let mut rows = DMatrix::zeros(dim, width + 1);
+        factor.linearize(&arguments, &mut Linearization::new(dim, &columns, rows.as_mut_slice()));
+        rows.column_mut(width).neg_mut();
+        if !error.is_finite() || rows.iter().any(|x| !x.is_finite()) {
+            return Err(non_finite());
+        }
+        let norm: f64 = residual.iter().map(|r| r * r).sum();
+        let weighted = rows.column(width).norm_squared();
+        let weight = if norm.is_normal() { weighted / norm } else { 1.0 };
+        Ok(Read { source, members, rows, error, weight })
+    }
+}
+
+/// The variables that share a factor with the removed ones, by id: the Markov blanket.
+pub(crate) fn blanket(overlay: &Overlay<'_>, removed: &[VariableId]) -> Vec<VariableId> {
+    let mut sorted = removed.to_vec();
+    sorted.sort_unstable();
+    let mut found: Vec<VariableId> = removed
+        .iter()
+        .flat_map(|&id| overlay.factors_of(id))
+        .flat_map(|(_, factor)| factor.keys().iter().copied())
+        .filter(|key| sorted.binary_search(key).is_err())
+        .collect();
+    found.sort_unstable();
+    found.dedup();
+    found
+}
+
+/// Where each variable stands among the members.
+struct Places<'a> {
+    /// Removed variables by id, with their places.
+    removed: Vec<(VariableId, usize)>,
+    blanket: &'a [VariableId],
+}
+
+impl<'a> Places<'a> {
+    fn new(removed: &[VariableId], blanket: &'a [VariableId]) -> Self {
+        let mut removed: Vec<_> = removed.iter().enumerate().map(|(k, &id)| (id, k)).collect();
+        removed.sort_unstable();
+        Self { removed, blanket }
+    }
+
+    fn removed(&self, id: VariableId) -> Option<usize> {
+        let found = self.removed.binary_search_by_key(&id, |entry| entry.0).ok();
+        found.map(|k| self.removed[k].1)
+    }
+
+    fn blanket(&self, id: VariableId) -> Option<usize> {
+        self.blanket.binary_search(&id).ok().map(|k| self.removed.len() + k)
+    }
+
+    fn of(&self, id: VariableId) -> Option<usize> {
+        self.removed(id).or_else(|| self.blanket(id))
+    }
+}

@@ -1,0 +1,162 @@
+//! What to put in the place of a removed node.
+
+use evergraph_factors::RootShift;
+use serde::{Deserialize, Serialize};
+
+/// Which of the blanket's variables the new factors join.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Topology {
+    /// One factor on the whole blanket: exact, and in the long run a dense graph.
+    Dense,
+    /// The spanning tree of most mutual information (Chow and Liu): the closest of all trees.
+    #[default]
+    ChowLiu,
+}
+
+/// What kind of factors carry the information.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Recovery {
+    /// Generic linear constraints: any types, any rank.
+    #[default]
+    Glc,
+    /// Ordinary factors (relative poses, points seen from poses, priors), which are linearized
+    /// again as the estimate moves and which files of every dialect can hold. What has no such
+    /// form becomes a generic linear constraint.
+    Nonlinear,
+    /// Measurements compounded along two edges and merged: what pruning did before generic linear
+    /// constraints. Double counts; for comparison. Full relative poses only.
+    Composition,
+    /// Nothing: what the node's factors said of other variables is *lost*. By this name only.
+    Drop,
+}
+
+/// Where the new factors have their minimum.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Offset {
+    /// The gradient of the new factors at the estimate is that of the factors they replace, so
+    /// that removal at the optimum moves nothing.
+    #[default]
+    KeepGradient,
+    /// At the estimate, as in the GLC paper (equation 9 with the measurement at the linearization
+    /// point). Drops that gradient, and so shifts the map.
+    Zero,
+}
+
+/// What the Chow-Liu tree maximizes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MutualInformation {
+    /// Equation 17 of the laser paper, and where the target is singular its limit under a
+    /// vanishing prior.
+    #[default]
+    Limit,
+    /// With `ln det(Λ + I)` in the place of `ln det Λ`, as iSAM 1.7 does: depends on units.
+    LogDetPlusIdentity,
+}
+
+/// Which directions of a generic linear constraint count as information.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Rank {
+    /// Those that the column-scaled Jacobian shows, 1e-10 of a column's norm or more.
+    #[default]
+    Relative,
+    /// Eigenvalues of `Λ'` above this times its dimension, as iSAM 1.7 has it with 1e-8: depends on
+    /// units.
+    Absolute(f64),
+}
+
+/// How far the minimum of a new factor may lie from the estimate before a tree is not trusted and
+/// the clique takes the dense form.
+///
+/// Offsets are small at first and grow when nodes are removed again and again.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Guard {
+    /// Rotation of an offset, radians. Default 1.
+    pub rotation: f64,
+    /// Length of a factor's whitened residual at the estimate, standard deviations. Default 100.
+    pub mahalanobis: f64,
+}
+
+impl Default for Guard {
+    fn default() -> Self {
+        Self { rotation: 1.0, mahalanobis: 100.0 }
+    }
+}
+
+/// How nodes are removed.
+///
+/// The default is what a robot wants that goes on for years: trees, which stay sparse however often
+/// one removes (a dense clique grows with each removal near it), generic linear constraints, which
+/// exist for every type and rank, and the gradient kept, so that removal moves nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Options {
+    /// Default [`Topology::ChowLiu`].
+    pub topology: Topology,
+    /// Default [`Recovery::Glc`].
+    pub recovery: Recovery,
+    /// Default [`Offset::KeepGradient`].
+    pub offset: Offset,
+    /// The coordinates in which linear factors of several poses are linear. Default
+    /// [`RootShift::Root`], which needs the poses of a clique to be known relative to each other
+    /// only.
+    pub root_shift: RootShift,
+    /// Default [`MutualInformation::Limit`].
+    pub mutual_information: MutualInformation,
+    /// Default [`Rank::Relative`].
+    pub rank: Rank,
+    /// Whether factors between variables of the blanket that are not on the node are replaced too,
+    /// as the papers do: the tree then stands for all that the clique knows, and edges between kept
+    /// neighbours do not pile up. `false` leaves them alone. Default `true`.
+    pub intra_clique: bool,
+    /// A robust factor of less weight than this at the estimate is not absorbed: between kept
+    /// variables it stays, on the node it goes without a trace (the plan lists it). Default 0.01.
+    pub least_weight: f64,
+    /// When a tree is not trusted.
+    pub guard: Guard,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            topology: Topology::default(),
+            recovery: Recovery::default(),
+            offset: Offset::default(),
+            root_shift: RootShift::Root,
+            mutual_information: MutualInformation::default(),
+            rank: Rank::default(),
+            intra_clique: true,
+            least_weight: 0.01,
+            guard: Guard::default(),
+        }
+    }
+}
+
+impl Options {
+    /// The exact removal: one factor per blanket, no tree.
+    pub fn dense() -> Self {
+        Self { topology: Topology::Dense, ..Self::default() }
+    }
+
+    /// Equations 1 to 9 of the GLC paper to the letter: offset zero, coordinates of equation 5.
+    pub fn paper() -> Self {
+        Self { offset: Offset::Zero, root_shift: RootShift::InverseRoot, ..Self::default() }
+    }
+
+    /// iSAM 1.7's variants where they differ from the paper: the root pose itself as a coordinate,
+    /// mutual information from `ln det(Λ + I)`, an absolute tolerance of 1e-8.
+    pub fn isam() -> Self {
+        Self {
+            offset: Offset::Zero,
+            root_shift: RootShift::Root,
+            mutual_information: MutualInformation::LogDetPlusIdentity,
+            rank: Rank::Absolute(1e-8),
+            ..Self::default()
+        }
+    }
+}

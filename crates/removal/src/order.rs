@@ -1,0 +1,33 @@
+//! In which order many nodes are removed.
+
+use evergraph_model::VariableId;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+/// The order in which trees are put in the place of many nodes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Order {
+    /// As given.
+    Given,
+    /// At random, as the GLC paper's experiments do; the same on every machine for one seed.
+    Random(u64),
+    /// The node with the smallest Markov blanket first, counted as nodes go; ties by id.
+    MinDegree,
+    /// The node whose removal costs least first ([`Step::price`](crate::Step::price)); every node
+    /// whose neighborhood a step has changed is priced again. The divergence is not submodular, so
+    /// prices can fall as well as rise, and no lazy queue would do. Changes further away are left
+    /// out of prices until a node's own neighborhood changes.
+    MinLoss,
+}
+
+/// `nodes` in a random order.
+pub(crate) fn shuffled(nodes: &[VariableId], seed: u64) -> Vec<VariableId> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut nodes = nodes.to_vec();
+    for last in (1..nodes.len()).rev() {
+        nodes.swap(last, rng.random_range(0..=last));
+    }
+    nodes
+}

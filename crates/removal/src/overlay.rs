@@ -1,0 +1,204 @@
+//! The graph as it will be when the steps planned so far are applied.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use evergraph_model::{Factor, FactorId, Graph, GraphError, Value, Values, VariableId};
+
+use crate::error::RemovalError;
+
+/// Where estimates come from: [`Values`], or a closure such as
+/// `|id| smoother.estimate_value(id)` with its error mapped.
+pub trait Estimates {
+    /// The estimate of a variable.
+    ///
+    /// # Errors
+    /// [`GraphError`] when there is none.
+    fn estimate(&self, variable: VariableId) -> Result<Value, GraphError>;
+}
+
+impl Estimates for Values {
+    fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
+        self.value(variable).map(|value| value.to_value())
+    }
+}
+
+impl<F: Fn(VariableId) -> Result<Value, GraphError>> Estimates for F {
+    fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
+        self(variable)
+    }
+}
+
+/// A factor of the graph, or one that an earlier step of the same plan adds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Source {
+    /// A factor of the graph.
+    Graph(FactorId),
+    /// The factor of this number among all that the plan's steps make, from 0.
+    Planned(usize),
+}
+
+impl std::fmt::Display for Source {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Graph(id) => id.fmt(f),
+            Self::Planned(number) => write!(f, "planned {number}"),
+        }
+    }
+}
+
+/// A graph with its estimates, less what planned steps take out, plus what they put in. Later steps
+/// read it as if the earlier ones had been applied.
+#[derive(Clone)]
+pub(crate) struct Overlay<'a> {
+    pub(crate) graph: &'a Graph,
+    estimates: &'a dyn Estimates,
+    removed: BTreeSet<VariableId>,
+    dropped: BTreeSet<FactorId>,
+    /// New factors in the order they were planned; `None` once a later step has absorbed them.
+    added: Vec<Option<Arc<dyn Factor>>>,
+    added_on: BTreeMap<VariableId, Vec<usize>>,
+    poses: usize,
+}
+
+impl<'a> Overlay<'a> {
+    pub(crate) fn new(graph: &'a Graph, estimates: &'a dyn Estimates) -> Self {
+        Self {
+            graph,
+            estimates,
+            removed: BTreeSet::new(),
+            dropped: BTreeSet::new(),
+            added: Vec::new(),
+            added_on: BTreeMap::new(),
+            poses: graph
+                .variable_indices()
+                .filter(|&v| crate::motion::pose_of(graph.kind_at(v)).is_some())
+                .count(),
+        }
+    }
+
+    /// How many poses are left.
+    pub(crate) fn poses(&self) -> usize {
+        self.poses
+    }
+
+    pub(crate) fn check(&self, variable: VariableId) -> Result<(), RemovalError> {
+        self.graph.check_variable(variable)?;
+        if self.removed.contains(&variable) {
+            return Err(GraphError::UnknownVariable { variable }.into());
+        }
+        Ok(())
+    }
+
+    /// The estimate, checked.
+    pub(crate) fn estimate(&self, variable: VariableId) -> Result<Value, RemovalError> {
+        let value = self.estimates.estimate(variable)?;
+        let index = variable.index();
+        let fits = value.kind() == self.graph.kind_at(index)
+            && value.dim() == self.graph.dim_at(index)
+            && value.storage().len() == self.graph.value_range(index).len();
+        if !fits {
+            let (actual, dim) = (value.kind().name(), value.dim());
+            return Err(RemovalError::EstimateMismatch { variable, actual, dim });
+        }
+        if value.storage().iter().any(|x| !x.is_finite()) {
+            let numbers = value.storage().to_vec();
+            return Err(RemovalError::NonFiniteEstimate { variable, numbers });
+        }
+        Ok(value)
+    }
+
+    /// The factors on a variable: the graph's in the order they came, then planned ones.
+    pub(crate) fn factors_of(
+        &self,
+        variable: VariableId,
+    ) -> impl Iterator<Item = (Source, &dyn Factor)> {
+        let old = self.graph.factors_at(variable.index()).iter().filter_map(|&f| {
+            let id = self.graph.factor_id(f as usize);
+            let stays = self.dropped.is_empty() || !self.dropped.contains(&id);
+            stays.then(|| (Source::Graph(id), self.graph.factor_at(f as usize)))
+        });
+        let new = self.added_on.get(&variable).into_iter().flatten();
+        let new = new.filter_map(|&k| Some((Source::Planned(k), &**self.added[k].as_ref()?)));
+        old.chain(new)
+    }
+
+    /// Whether a way over factors of the graph, through removed variables, leads from `start` to a
+    /// variable that stays.
+    pub(crate) fn leads_to_kept(&self, start: &[VariableId]) -> bool {
+        let mut seen: BTreeSet<VariableId> = start.iter().copied().collect();
+        let mut queue = start.to_vec();
+        while let Some(variable) = queue.pop() {
+            for &factor in self.graph.factors_at(variable.index()) {
+                for &key in self.graph.factor_at(factor as usize).keys() {
+                    if seen.insert(key) {
+                        if !self.removed.contains(&key) {
+                            return true;
+                        }
+                        queue.push(key);
+                    }
+                }
+            }
+        }
+        false
+    }
+
+    /// The factor, unless a step has taken it out.
+    pub(crate) fn factor(&self, source: Source) -> Option<&dyn Factor> {
+        match source {
+            Source::Graph(id) if self.dropped.contains(&id) => None,
+            Source::Graph(id) => self.graph.factor(id).ok().map(|factor| &**factor),
+            Source::Planned(k) => self.added.get(k)?.as_deref(),
+        }
+    }
+
+    /// Applies a step: takes variables and factors out and puts factors in; returns the number of
+    /// the first of those.
+    pub(crate) fn apply(
+        &mut self,
+        removed: &[VariableId],
+        dropped: impl Iterator<Item = Source>,
+        new: &[Arc<dyn Factor>],
+    ) -> usize {
+        for source in dropped {
+            match source {
+                Source::Graph(id) => {
+                    self.dropped.insert(id);
+                }
+                Source::Planned(k) => {
+                    if let Some(factor) = self.added[k].take() {
+                        for key in factor.keys() {
+                            if let Some(list) = self.added_on.get_mut(key) {
+                                list.retain(|&other| other != k);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        for &variable in removed {
+            self.removed.insert(variable);
+            self.added_on.remove(&variable);
+            let pose = crate::motion::pose_of(self.graph.kind_at(variable.index())).is_some();
+            self.poses -= usize::from(pose);
+        }
+        let first = self.added.len();
+        for factor in new {
+            for &key in factor.keys() {
+                self.added_on.entry(key).or_default().push(self.added.len());
+            }
+            self.added.push(Some(Arc::clone(factor)));
+        }
+        first
+    }
+
+    /// What is to be dropped from the graph, ascending.
+    pub(crate) fn dropped(&self) -> impl Iterator<Item = FactorId> {
+        self.dropped.iter().copied()
+    }
+
+    /// The new factors that no later step has absorbed, in the order they were planned.
+    pub(crate) fn surviving(&self) -> impl Iterator<Item = &Arc<dyn Factor>> {
+        self.added.iter().flatten()
+    }
+}

@@ -1,0 +1,174 @@
+//! What a removal costs.
+
+use evergraph_model::VariableId;
+use nalgebra::{DMatrix, DVector};
+
+use crate::error::RemovalError;
+
+/// Joint covariances of the full graph at the estimate, for example from the clique tree. Closures
+/// `FnMut(&[VariableId]) -> Result<DMatrix<f64>, E>` are covariances.
+pub trait Covariance {
+    /// The joint covariance of `variables`, in that order, each in the order of its tangent.
+    ///
+    /// # Errors
+    /// Whatever keeps it from being had, in words.
+    fn joint(&mut self, variables: &[VariableId]) -> Result<DMatrix<f64>, String>;
+}
+
+impl<F, E> Covariance for F
+where
+    F: FnMut(&[VariableId]) -> Result<DMatrix<f64>, E>,
+    E: std::fmt::Display,
+{
+    fn joint(&mut self, variables: &[VariableId]) -> Result<DMatrix<f64>, String> {
+        self(variables).map_err(|error| error.to_string())
+    }
+}
+
+/// The joint covariance, with its shape and numbers checked.
+pub(crate) fn joint(
+    covariance: &mut dyn Covariance,
+    variables: &[VariableId],
+    dim: usize,
+) -> Result<DMatrix<f64>, RemovalError> {
+    let refused = |reason| RemovalError::Covariance { variables: variables.to_vec(), reason };
+    let sigma = covariance.joint(variables).map_err(refused)?;
+    if sigma.shape() != (dim, dim) {
+        let (rows, columns) = sigma.shape();
+        return Err(refused(format!("it is {rows} by {columns} where {dim} by {dim} is needed")));
+    }
+    if sigma.iter().any(|x| !x.is_finite()) {
+        return Err(refused("it has entries that are not finite".into()));
+    }
+    Ok(sigma)
+}
+
+/// The Kullback-Leibler divergence, in nats, of the map after the replacement from the map before.
+///
+/// With Σ the joint covariance of the blanket in the full graph, `Σ = L Lᵀ`, and the square roots
+/// R_t of what goes and G of what comes, the blanket's information changes from `Σ⁻¹` to
+/// `Σ⁻¹ - R_tᵀR_t + GᵀG`. With μ the eigenvalues of
+///
+/// ```text
+/// M = I + (G L)ᵀ(G L) - (R_t L)ᵀ(R_t L)
+/// D(before ‖ after) = ½ Σ (μ - 1 - ln μ) + ½ δηᵀ L M⁻¹ Lᵀ δη
+/// ```
+///
+/// `δη` is what the gradient changes by, zero when it is kept. It is the divergence of the whole
+/// graph's marginals over everything kept, because given the blanket the distribution of the rest is
+/// the same before and after. Infinite when a direction of the blanket would become free.
+///
+/// `None` when Σ is not positive definite, or its product with the information overflows. O(n³).
+pub(crate) fn divergence(
+    sigma: &DMatrix<f64>,
+    target: &DMatrix<f64>,
+    new: &DMatrix<f64>,
+    gradient: &DVector<f64>,
+) -> Option<f64> {
+    let symmetric = 0.5 * (sigma + sigma.transpose());
+    let l = symmetric.cholesky()?.l();
+    let (before, after) = (target * &l, new * &l);
+    let change = after.tr_mul(&after) - before.tr_mul(&before);
+    // Numbers that left the range of `f64`; an eigenvalue iteration would not end on them.
+    if change.iter().chain(gradient.iter()).any(|x| !x.is_finite()) {
+        return None;
+    }
+    let eigen = change.symmetric_eigen();
+    let shift = eigen.eigenvectors.tr_mul(&l.tr_mul(gradient));
+    let terms = eigen.eigenvalues.iter().zip(shift.iter()).map(|(&x, &s)| {
+        if x <= -1.0 {
+            return f64::INFINITY;
+        }
+        // μ - 1 - ln μ with μ = 1 + x; never below zero but for rounding.
+        0.5 * ((x - x.ln_1p()).max(0.0) + s * s / (1.0 + x))
+    });
+    Some(terms.sum())
+}
+
+/// What earlier steps of a plan have changed in the blankets they touched.
+#[derive(Debug, Default)]
+pub(crate) struct Ledger {
+    changes: Vec<Changed>,
+}
+
+#[derive(Debug)]
+struct Changed {
+    variables: Vec<VariableId>,
+    dims: Vec<usize>,
+    before: DMatrix<f64>,
+    after: DMatrix<f64>,
+}
+
+impl Ledger {
+    /// The covariance of `variables` with the earlier steps applied whose blankets share a variable
+    /// with them: on the union U of those blankets the information has changed by
+    /// `Σ (G_kᵀG_k - R_kᵀR_k)`. Steps further away are left out, so that the cost stays that of a few
+    /// blankets; what they change here is of the order of their own price.
+    pub(crate) fn covariance(
+        &self,
+        covariance: &mut dyn Covariance,
+        variables: &[VariableId],
+        dims: &[usize],
+    ) -> Result<DMatrix<f64>, RemovalError> {
+        let near: Vec<&Changed> = self
+            .changes
+            .iter()
+            .filter(|c| c.variables.iter().any(|v| variables.contains(v)))
+            .collect();
+        let (mut all, mut all_dims) = (variables.to_vec(), dims.to_vec());
+        for change in &near {
+            for (&v, &dim) in change.variables.iter().zip(&change.dims) {
+                if !all.contains(&v) {
+                    all.push(v);
+                    all_dims.push(dim);
+                }
+            }
+        }
+        let starts: Vec<usize> = std::iter::once(0)
+            .chain(all_dims.iter().scan(0, |end, dim| {
+                *end += dim;
+                Some(*end)
+            }))
+            .collect();
+        let n = starts[all.len()];
+        let sigma = joint(covariance, &all, n)?;
+        let dim: usize = dims.iter().sum();
+        let own = || sigma.view((0, 0), (dim, dim)).into_owned();
+        if near.is_empty() {
+            return Ok(sigma);
+        }
+        let Some(l) = (0.5 * (&sigma + sigma.transpose())).cholesky().map(|c| c.l()) else {
+            return Ok(own());
+        };
+        let mut m = DMatrix::identity(n, n);
+        for change in near {
+            for (rows, sign) in [(&change.after, 1.0), (&change.before, -1.0)] {
+                let mut spread = DMatrix::zeros(rows.nrows(), n);
+                let mut source = 0;
+                for (v, &dim) in change.variables.iter().zip(&change.dims) {
+                    if let Some(place) = all.iter().position(|other| other == v) {
+                        spread
+                            .columns_mut(starts[place], dim)
+                            .copy_from(&rows.columns(source, dim));
+                    }
+                    source += dim;
+                }
+                let product = spread * &l;
+                m += sign * product.tr_mul(&product);
+            }
+        }
+        // Σ_now = L M⁻¹ Lᵀ, of which the first rows are wanted.
+        let top = l.rows(0, dim).into_owned();
+        Ok(m.cholesky().map_or_else(own, |m| &top * m.solve(&top.transpose())))
+    }
+
+    pub(crate) fn note(
+        &mut self,
+        variables: Vec<VariableId>,
+        dims: Vec<usize>,
+        before: DMatrix<f64>,
+        after: DMatrix<f64>,
+    ) {
+        self.changes.push(Changed { variables, dims, before, after });
+    }
+}

@@ -1,0 +1,107 @@
+//! Generic linear constraints (sections II-C and II-D of the GLC paper).
+
+use evergraph_factors::{Linear, RootShift};
+use evergraph_model::{Value, VariableId};
+use nalgebra::{DMatrix, DVector};
+
+use crate::error::MakeError;
+use crate::motion::{carried, pose_of};
+use crate::options::{Options, Rank};
+use crate::potential::Potential;
+use crate::target::Target;
+
+/// `e = G' (Local(x̂', r(x)) - d')` with `G' = G R⁻¹`, `d' = R d` and R the Jacobian of the root
+/// shift r, so that
+///
+/// ```text
+/// Λ' = G'ᵀ G' = R⁻ᵀ Λ R⁻¹                                        (6)
+/// ```
+///
+/// and the factor contributes exactly `GᵀG = Λ` (section II-D: there G is `D^½ Uᵀ` from the
+/// eigenvectors of Λ', equations 8 and 9; any other square root of as many rows is a rotation of
+/// it, and one that comes from QR has seen no squares).
+///
+/// R is `[A 0; C I]` with an identity for every variable but the root, hence
+/// `G'_k = G_k` and `G'_1 = (G_1 - Σ G_k C_k) A⁻¹`.
+pub(crate) fn factor(
+    target: &Target,
+    potential: &Potential,
+    offset: &DVector<f64>,
+    options: &Options,
+) -> Result<Option<Linear>, MakeError> {
+    let variables: Vec<(VariableId, Value)> = potential
+        .members
+        .iter()
+        .map(|&m| (target.members[m].id, target.members[m].value.clone()))
+        .collect();
+    let shift = shift(&variables, options.root_shift);
+    let (mut rows, mut offset) = (potential.rows.clone(), offset.clone());
+    if shift != RootShift::None {
+        let points: Vec<Value> = variables.iter().map(|(_, value)| value.clone()).collect();
+        let jacobian = shift.jacobian(&points)?;
+        let dim = points[0].dim();
+        let mut first = rows.columns(0, dim).into_owned();
+        let mut column = dim;
+        // Relative: G_1 = -Σ G_k A_k, and C_k = -A_k for every shifted variable, so that only what
+        // stays in the world is left. Summed up like this nothing has to cancel, and where nothing
+        // stays there the root's columns are exactly zero.
+        if potential.relative {
+            first.fill(0.0);
+        }
+        for point in &points[1..] {
+            let own = rows.columns(column, point.dim());
+            let shifted = point.kind() == points[0].kind();
+            if potential.relative {
+                if let (false, Some(motion)) = (shifted, carried(&points[0], point)) {
+                    first -= own * motion;
+                }
+            } else {
+                first -= own * jacobian.view((column, 0), (point.dim(), dim));
+            }
+            column += point.dim();
+        }
+        let corner = jacobian.view((0, 0), (dim, dim)).into_owned();
+        if shift == RootShift::InverseRoot {
+            let inverse = corner.try_inverse().ok_or(MakeError::NotFinite("its root shift"))?;
+            first *= inverse;
+        }
+        let vanishes = first.iter().all(|&x| x == 0.0);
+        rows.columns_mut(0, dim).copy_from(&first);
+        offset = jacobian * offset;
+        if vanishes {
+            // Nothing is known there, so no offset means anything.
+            offset.rows_mut(0, dim).fill(0.0);
+        }
+    }
+    if let Rank::Absolute(tolerance) = options.rank {
+        rows = principal(&rows, tolerance)?;
+    }
+    if rows.nrows() == 0 {
+        return Ok(None);
+    }
+    Ok(Some(Linear::new(&variables, shift, rows, offset)?))
+}
+
+/// Only where the first variable is a pose and another of its kind is there to be seen from it:
+/// unary factors gain nothing, and what does not move with the root stays in the world.
+fn shift(variables: &[(VariableId, Value)], wanted: RootShift) -> RootShift {
+    let root = variables[0].1.kind();
+    let seen = variables[1..].iter().any(|(_, value)| value.kind() == root);
+    if pose_of(root).is_some() && seen { wanted } else { RootShift::None }
+}
+
+/// `D^½ Uᵀ` of equations 8 and 9, with the eigenvalues above an absolute tolerance times their
+/// number, as iSAM 1.7 takes them.
+fn principal(rows: &DMatrix<f64>, tolerance: f64) -> Result<DMatrix<f64>, MakeError> {
+    let information = rows.tr_mul(rows);
+    if information.iter().any(|x| !x.is_finite()) {
+        return Err(MakeError::NotFinite("its information"));
+    }
+    let eigen = information.symmetric_eigen();
+    let n = eigen.eigenvalues.len();
+    let kept: Vec<usize> =
+        (0..n).filter(|&k| eigen.eigenvalues[k] > tolerance * n as f64).collect();
+    Ok(DMatrix::from_fn(kept.len(), n, |i, j| {
+        eigen.eigenvalues[kept[i]].sqrt() * eigen.eigenvectors[(j, kept[i])]
+    }))
+}

@@ -1,0 +1,141 @@
+//! Ordinary factors: relative poses, points seen from poses, priors.
+
+use std::sync::Arc;
+
+use evergraph_factors::{Between, LocalJacobian, Prior, RelativePosition2, RelativePosition3};
+use evergraph_model::{
+    Factor, Graph, LieGroup, Noise, Point2, Point3, Pose2, Pose3, Rot2, Rot3, VectorN,
+};
+use nalgebra::{DMatrix, DVector, SMatrix, SVector};
+
+use crate::error::MakeError;
+use crate::motion::carried;
+use crate::neighborhood::Member;
+use crate::potential::Potential;
+use crate::target::Target;
+
+/// The ordinary factor for a term with its minimum at `offset`, if there is one.
+pub(crate) fn factor(
+    graph: &Graph,
+    target: &Target,
+    potential: &Potential,
+    offset: &DVector<f64>,
+) -> Result<Option<Arc<dyn Factor>>, MakeError> {
+    let member = |k: usize| &target.members[potential.members[k]];
+    match potential.members.len() {
+        1 => unary(graph, member(0), &potential.rows, offset),
+        2 if potential.relative => pair(graph, member(0), member(1), &potential.rows, offset),
+        _ => Ok(None),
+    }
+}
+
+/// A prior at `z = x̂ Exp(d)`. Its residual at the estimate is `e₀ = Log(z⁻¹ x̂) = -d` and its
+/// Jacobian `W Jr⁻¹(e₀)`, so with `W = G Jr(e₀)` both information and gradient are those of the term:
+/// `W e₀ = -G Jr(-d) d = -G d`, since `Jr(ξ) ξ = ξ`.
+fn unary(
+    graph: &Graph,
+    member: &Member,
+    rows: &DMatrix<f64>,
+    offset: &DVector<f64>,
+) -> Result<Option<Arc<dyn Factor>>, MakeError> {
+    let kind = member.value.kind();
+    if kind.is::<Pose2>() {
+        group_prior::<Pose2, 3>(graph, member, rows, offset)
+    } else if kind.is::<Pose3>() {
+        group_prior::<Pose3, 6>(graph, member, rows, offset)
+    } else if kind.is::<Rot2>() {
+        group_prior::<Rot2, 1>(graph, member, rows, offset)
+    } else if kind.is::<Rot3>() {
+        group_prior::<Rot3, 3>(graph, member, rows, offset)
+    } else if kind.is::<Point2>() {
+        group_prior::<Point2, 2>(graph, member, rows, offset)
+    } else if kind.is::<Point3>() {
+        group_prior::<Point3, 3>(graph, member, rows, offset)
+    } else if let Some(x) = member.value.get::<VectorN>() {
+        let z = VectorN::new((x.vector() + offset).as_slice().to_vec());
+        Ok(Some(Arc::new(Prior::new(graph.key(member.id)?, z, noise(rows)?)?)))
+    } else {
+        Ok(None)
+    }
+}
+
+fn group_prior<G: LieGroup<N> + LocalJacobian, const N: usize>(
+    graph: &Graph,
+    member: &Member,
+    rows: &DMatrix<f64>,
+    offset: &DVector<f64>,
+) -> Result<Option<Arc<dyn Factor>>, MakeError> {
+    let Some(x) = member.value.get::<G>() else { return Ok(None) };
+    let d = SVector::<f64, N>::from_column_slice(offset.as_slice());
+    let z = x.compose(&G::exp(&d));
+    let noise = noise(&times(rows, &G::right_jacobian(&-d)))?;
+    Ok(Some(Arc::new(Prior::new(graph.key::<G>(member.id)?, z, noise)?)))
+}
+
+/// What is seen of the second from the first: the offset of the relative coordinate is
+/// `d = d_2 - A d_1`.
+fn pair(
+    graph: &Graph,
+    first: &Member,
+    second: &Member,
+    rows: &DMatrix<f64>,
+    offset: &DVector<f64>,
+) -> Result<Option<Arc<dyn Factor>>, MakeError> {
+    let (n, m) = (first.value.dim(), second.value.dim());
+    let Some(motion) = carried(&first.value, &second.value) else { return Ok(None) };
+    let d = offset.rows(n, m) - motion * offset.rows(0, n);
+    let rows = rows.columns(n, m).into_owned();
+    let (pose2, pose3) = (first.value.get::<Pose2>(), first.value.get::<Pose3>());
+    if let (Some(pose), Some(point)) = (pose2, second.value.get::<Point2>()) {
+        // z = T⁻¹ p̂ + Cᵀ d; the Jacobian by the point is W Cᵀ, so W = G C.
+        let c = pose.rotation();
+        let turn = DMatrix::from_row_slice(2, 2, &[c.cos(), -c.sin(), c.sin(), c.cos()]);
+        let seen = pose.inverse_transform_point(&point).vector() + turn.tr_mul(&d);
+        let seen = Point2::new(seen[0], seen[1]);
+        let keys = (graph.key::<Pose2>(first.id)?, graph.key::<Point2>(second.id)?);
+        let factor = RelativePosition2::new(keys.0, keys.1, seen, noise(&(rows * turn))?)?;
+        return Ok(Some(Arc::new(factor)));
+    }
+    if let (Some(pose), Some(point)) = (pose3, second.value.get::<Point3>()) {
+        let turn = DMatrix::from_column_slice(3, 3, pose.rotation().matrix().as_slice());
+        let seen = pose.inverse_transform_point(&point).vector() + turn.tr_mul(&d);
+        let seen = Point3::new(seen[0], seen[1], seen[2]);
+        let keys = (graph.key::<Pose3>(first.id)?, graph.key::<Point3>(second.id)?);
+        let factor = RelativePosition3::new(keys.0, keys.1, seen, noise(&(rows * turn))?)?;
+        return Ok(Some(Arc::new(factor)));
+    }
+    if let (Some(from), Some(to)) = (pose2, second.value.get::<Pose2>()) {
+        return between::<Pose2, 3>(graph, (first, from), (second, to), &rows, &d);
+    }
+    if let (Some(from), Some(to)) = (pose3, second.value.get::<Pose3>()) {
+        return between::<Pose3, 6>(graph, (first, from), (second, to), &rows, &d);
+    }
+    Ok(None)
+}
+
+/// `z = x̂_ij Exp(d)`, with the residual `-d` at the estimate and `W = G Jr(-d)` as for a prior.
+fn between<G: LieGroup<N>, const N: usize>(
+    graph: &Graph,
+    (first, from): (&Member, G),
+    (second, to): (&Member, G),
+    rows: &DMatrix<f64>,
+    offset: &DVector<f64>,
+) -> Result<Option<Arc<dyn Factor>>, MakeError> {
+    let d = SVector::<f64, N>::from_column_slice(offset.as_slice());
+    let z = from.between(&to).compose(&G::exp(&d));
+    let noise = noise(&times(rows, &G::right_jacobian(&-d)))?;
+    let (from, to) = (graph.key::<G>(first.id)?, graph.key::<G>(second.id)?);
+    Ok(Some(Arc::new(Between::<G, N>::new(from, to, z, noise)?)))
+}
+
+fn times<const N: usize>(rows: &DMatrix<f64>, m: &SMatrix<f64, N, N>) -> DMatrix<f64> {
+    rows * DMatrix::from_column_slice(N, N, m.as_slice())
+}
+
+/// A square root with as many rows as columns; missing rows know nothing.
+fn noise(rows: &DMatrix<f64>) -> Result<Noise, MakeError> {
+    let n = rows.ncols();
+    let mut square = DMatrix::zeros(n, n);
+    square.rows_mut(0, rows.nrows().min(n)).copy_from(&rows.rows(0, rows.nrows().min(n)));
+    Ok(Noise::from_sqrt_information(&square)?)
+}

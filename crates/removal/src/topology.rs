@@ -1,0 +1,190 @@
+//! The Chow-Liu tree: which variables the new factors join.
+
+use std::cmp::Ordering;
+
+use nalgebra::DMatrix;
+
+use crate::covariance::CovarianceRoot;
+use crate::motion::pose_of;
+use crate::options::MutualInformation;
+use crate::qr::{half_log_det, triangle, upper_inverse};
+use crate::target::Target;
+
+/// A spanning tree of the blanket.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Tree {
+    pub(crate) root: usize,
+    /// (child, parent), parents before their children.
+    pub(crate) edges: Vec<(usize, usize)>,
+}
+
+/// Mutual information of a pair under a vanishing prior ε: `-½ nullity ln ε + finite`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Weight {
+    /// `n_i + n_j - n_ij`, with n_S the nullity of the marginal of S.
+    nullity: i64,
+    /// Nats.
+    finite: f64,
+}
+
+impl Weight {
+    const NONE: Self = Self { nullity: i64::MIN, finite: f64::NEG_INFINITY };
+
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.nullity.cmp(&other.nullity).then(self.finite.total_cmp(&other.finite))
+    }
+}
+
+impl Tree {
+    /// The spanning tree of maximum mutual information over the target (equation 1 of the GLC paper,
+    /// 16 of the laser paper), rooted where the target knows most of a single variable.
+    pub(crate) fn chow_liu(
+        target: &Target,
+        covariance: Option<&CovarianceRoot>,
+        weights: MutualInformation,
+    ) -> Self {
+        let n = target.members.len();
+        let root = root(target);
+        let weight = weights_of(target, covariance, weights);
+        // Prim: grow from the root by the heaviest edge that leaves the tree.
+        let mut best: Vec<(Weight, usize)> = (0..n).map(|k| (weight(k, root), root)).collect();
+        let mut inside = vec![false; n];
+        inside[root] = true;
+        let mut edges = Vec::with_capacity(n - 1);
+        for _ in 1..n {
+            let outside = (0..n).filter(|&k| !inside[k]);
+            // `rev`, so that ties go to the first.
+            let next = outside.rev().max_by(|&a, &b| best[a].0.cmp(&best[b].0));
+            let Some(next) = next else { break };
+            inside[next] = true;
+            edges.push((next, best[next].1));
+            for k in (0..n).filter(|&k| !inside[k]) {
+                let candidate = weight(k, next);
+                if candidate.cmp(&best[k].0) == Ordering::Greater {
+                    best[k] = (candidate, next);
+                }
+            }
+        }
+        Self { root, edges }
+    }
+}
+
+/// The held pose if all is relative, else the first variable of highest marginal rank.
+fn root(target: &Target) -> usize {
+    let all = 0..target.members.len();
+    if all.clone().all(|k| target.is_relative(k))
+        && let Some(held) = target.held.iter().flatten().next()
+    {
+        return *held;
+    }
+    let rank = |&k: &usize| match target.is_regular() {
+        true => target.dim_of(k),
+        false => target.marginal_of(k, None).nrows(),
+    };
+    all.rev().max_by_key(rank).unwrap_or(0)
+}
+
+type WeightOf<'a> = Box<dyn Fn(usize, usize) -> Weight + 'a>;
+
+/// The way to weigh pairs that fits the target.
+fn weights_of<'a>(
+    target: &'a Target,
+    covariance: Option<&'a CovarianceRoot>,
+    weights: MutualInformation,
+) -> WeightOf<'a> {
+    if weights == MutualInformation::LogDetPlusIdentity {
+        return isam(target);
+    }
+    let all_move = || (0..target.members.len()).all(|k| target.is_relative(k));
+    let worlds = target.held.iter().flatten().count();
+    match covariance {
+        Some(covariance) if worlds == 0 => {
+            let pairs = regular(target, |members| covariance.rows(target, members));
+            Box::new(move |i, j| Weight { nullity: 0, finite: pairs(i, j) })
+        }
+        Some(covariance) if worlds == 1 && all_move() => relative(target, covariance),
+        _ => vanishing_prior(target),
+    }
+}
+
+/// Equation 17 of the laser paper, in nats,
+///
+/// ```text
+/// I(x_i; x_j) = ½ ln |Σ_ii| + ½ ln |Σ_jj| - ½ ln |Σ_(ij)(ij)|
+/// ```
+///
+/// from the rows of a square root `Σ = S Sᵀ`, `S = R⁻¹`.
+fn regular<'a>(
+    target: &'a Target,
+    rows: impl Fn(&[usize]) -> DMatrix<f64> + 'a,
+) -> impl Fn(usize, usize) -> f64 + 'a {
+    let single: Vec<f64> = (0..target.members.len()).map(|k| half_log_det(&rows(&[k]))).collect();
+    move |i, j| single[i] + single[j] - half_log_det(&rows(&[i, j]))
+}
+
+/// When the target is relative and otherwise regular, the limit in closed form. A prior on one
+/// variable alone, of any weight, leaves
+///
+/// ```text
+/// I(x_i; x_j) = ½ ln |Σ_jj| - ½ ln |Σ_rel(i, j)|
+/// ```
+///
+/// with `Σ_rel` the covariance of x_j as seen from the pose x_i, which does not depend on that
+/// prior; and `½ ln |Σ_jj|` grows with its vanishing at the same rate for all variables of a kind,
+/// faster for poses than for points. So poses are joined with each other first, then each point with
+/// a pose.
+fn relative<'a>(target: &'a Target, covariance: &'a CovarianceRoot) -> WeightOf<'a> {
+    Box::new(move |i, j| {
+        let is_pose = |&k: &usize| pose_of(target.members[k].value.kind()).is_some();
+        let Some(pose) = [i, j].into_iter().find(is_pose) else { return Weight::NONE };
+        let other = if pose == i { j } else { i };
+        let Some(seen) = covariance.seen(target, pose, other) else { return Weight::NONE };
+        Weight { nullity: target.dim_of(other) as i64, finite: -half_log_det(&seen) }
+    })
+}
+
+/// Any other singular target: the mutual information under two priors `ε I` in column-scaled
+/// coordinates. Both are far below what is known and far above what counts as nothing, so that
+/// between them `-½ nullity ln ε` shows as the slope, a whole number, and the finite part is what
+/// remains.
+fn vanishing_prior(target: &Target) -> WeightOf<'_> {
+    const ROOTS: [f64; 2] = [1e-5, 1e-7];
+    let n = target.dim();
+    let under = |prior: f64| {
+        let mut stack = DMatrix::zeros(target.rank() + n, n);
+        stack.rows_mut(0, target.rank()).copy_from(&target.root);
+        for (k, &scale) in target.scales.iter().enumerate() {
+            if scale > 0.0 {
+                stack.column_mut(k).unscale_mut(scale);
+            }
+            stack[(target.rank() + k, k)] = prior;
+        }
+        let s = upper_inverse(&triangle(stack));
+        regular(target, move |members| {
+            s.select_rows(&members.iter().flat_map(|&m| target.columns(m)).collect::<Vec<_>>())
+        })
+    };
+    let (weak, weaker) = (under(ROOTS[0]), under(ROOTS[1]));
+    Box::new(move |i, j| {
+        let (first, second) = (weak(i, j), weaker(i, j));
+        let slope = (second - first) / (ROOTS[0].ln() - ROOTS[1].ln());
+        let nullity = slope.round();
+        Weight { nullity: nullity as i64, finite: second + nullity * ROOTS[1].ln() }
+    })
+}
+
+/// iSAM 1.7: `½ (ln |Λ_ij + I| - ln |Λ_i + I| - ln |Λ_j + I|)` of marginal information matrices.
+fn isam(target: &Target) -> WeightOf<'_> {
+    let log_det = |kept: &[usize]| {
+        let rows = target.marginal(kept, None);
+        let n = rows.ncols();
+        let plus = rows.tr_mul(&rows) + DMatrix::identity(n, n);
+        plus.cholesky()
+            .map_or(f64::NEG_INFINITY, |c| 2.0 * c.l_dirty().diagonal().map(f64::ln).sum())
+    };
+    let single: Vec<f64> = (0..target.members.len()).map(|k| log_det(&[k])).collect();
+    Box::new(move |i, j| Weight {
+        nullity: 0,
+        finite: 0.5 * (log_det(&[i, j]) - single[i] - single[j]),
+    })
+}

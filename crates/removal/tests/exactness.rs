@@ -1,0 +1,168 @@
+//! A single removal against plain dense algebra.
+// Helpers of tests fail the test.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::*;
+use evergraph_factors::Linear;
+use evergraph_model::VariableId;
+use evergraph_removal::{Fallback, Options, Order, Recovery, Removal, RootShift, Topology};
+use proptest::prelude::*;
+
+fn check_information_and_gradient(kind: Kind, count: usize, seed: u64, options: Options) {
+    let scene = neighborhood(kind, count, seed);
+    let node = scene.ids()[0];
+    let plan = scene.plan(node, options);
+    let step = &plan.steps()[0];
+    let answer = answer(&scene, &[node], &step.blanket);
+    let new = added(&scene, &plan, &step.blanket);
+    let (lambda, eta) = normal(&new);
+    assert_same_gradient(&eta, &answer.eta, &answer, 1e-9);
+    let expected =
+        rank(&answer.stack.0) - rank(&answer.stack.0.columns(0, answer.node_dim).into_owned());
+    assert_eq!(step.rank, expected, "rank of the target");
+    assert_eq!(rank(&new.0), expected, "no direction is lost, none is made up: {step:#?}");
+    if step.topology == Topology::Dense {
+        assert_close(&lambda, &answer.lambda, &answer.scale, 1e-9, "information");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None, ..Default::default() })]
+
+    #[test]
+    fn dense_is_the_schur_complement(kind in 0..KINDS.len(), count in 1..5usize, seed: u64) {
+        check_information_and_gradient(KINDS[kind], count, seed, Options::dense());
+    }
+
+    #[test]
+    fn a_tree_keeps_gradient_and_null_space(kind in 0..KINDS.len(), count in 1..6usize, seed: u64) {
+        for recovery in [Recovery::Glc, Recovery::Nonlinear] {
+            let options = Options { recovery, ..Options::default() };
+            check_information_and_gradient(KINDS[kind], count, seed, options);
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None, ..Default::default() })]
+
+    /// Several nodes of any kinds in one plan: later ones read what earlier ones leave.
+    #[test]
+    fn no_direction_becomes_free_by_many_removals(
+        kind in 0..KINDS.len(), count in 4..7usize, seed: u64, removed in 1..4usize,
+    ) {
+        let scene = neighborhood(KINDS[kind], count, seed);
+        let ids = scene.ids();
+        // Some have no factor at all.
+        let nodes: Vec<VariableId> = ids
+            .iter()
+            .copied()
+            .filter(|&id| !scene.graph.factors_of(id).unwrap().is_empty())
+            .take(removed)
+            .collect();
+        let kept: Vec<VariableId> = ids.iter().copied().filter(|id| !nodes.contains(id)).collect();
+        let order: Vec<VariableId> = nodes.iter().chain(&kept).copied().collect();
+        let full = scene.stack(scene.graph.factors().map(|(_, f)| f), &order);
+        let gone = nodes.iter().map(|id| scene.graph.dim_at(id.index())).sum();
+        let expected = rank(&full.0) - rank(&full.0.columns(0, gone).into_owned());
+        for options in [
+            Options::default(),
+            Options::dense(),
+            Options { recovery: Recovery::Nonlinear, ..Options::default() },
+            Options { root_shift: RootShift::InverseRoot, ..Options::default() },
+            Options { intra_clique: false, ..Options::default() },
+        ] {
+            for plan_order in [Order::Given, Order::Random(seed), Order::MinDegree] {
+                let plan = Removal::new(&scene.graph, &scene.values())
+                    .with_options(options)
+                    .plan_many(&nodes, plan_order)
+                    .unwrap();
+                let mut graph = scene.graph.clone();
+                let staged = graph.stage(plan.change()).unwrap();
+                graph.commit(staged);
+                let after = Scene { graph, data: scene.data.clone() };
+                let stack = after.stack(after.graph.factors().map(|(_, f)| f), &kept);
+                prop_assert_eq!(rank(&stack.0), expected);
+                if options.topology == Topology::Dense {
+                    let before = normal(&full);
+                    let (lambda, _) = schur(&before, gone);
+                    let floor = 1e-3 * before.0.diagonal().max().sqrt();
+                    let scale: Vec<f64> = (gone..before.0.nrows())
+                        .map(|i| before.0[(i, i)].sqrt().max(floor))
+                        .collect();
+                    assert_close(&normal(&stack).0, &lambda, &scale, 1e-9, "information");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_relative_has_no_trace_of_the_world() {
+    for kind in [Kind::Plane, Kind::Space] {
+        for seed in 0..10 {
+            let scene = neighborhood(kind, 5, seed);
+            for options in [Options::default(), Options::dense()] {
+                for root_shift in [RootShift::Root, RootShift::InverseRoot] {
+                    let plan = scene.plan(scene.ids()[0], Options { root_shift, ..options });
+                    for (_, factor) in plan.change().new_factors() {
+                        let (linear, _) = factor.downcast::<Linear>().unwrap();
+                        assert_eq!(linear.root_shift(), root_shift);
+                        let dim = linear.linearization_points()[0].dim();
+                        assert_eq!(linear.sqrt_information().columns(0, dim).amax(), 0.0);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_relative_tree_is_the_same_with_linear_and_ordinary_factors() {
+    for (kind, count) in [(Kind::Plane, 2), (Kind::Plane, 6), (Kind::Space, 4)] {
+        for seed in 0..10 {
+            let scene = neighborhood(kind, count, seed);
+            let node = scene.ids()[0];
+            let [linear, ordinary] = [Recovery::Glc, Recovery::Nonlinear]
+                .map(|recovery| scene.plan(node, Options { recovery, ..Options::default() }));
+            let blanket = &linear.steps()[0].blanket;
+            let ordinary_step = &ordinary.steps()[0];
+            let all_between = ordinary_step.added.iter().all(|f| f.name.starts_with("Between"));
+            assert!(all_between, "{ordinary_step:#?}");
+            let answer = answer(&scene, &[node], blanket);
+            let [(a, g), (b, h)] =
+                [&linear, &ordinary].map(|plan| normal(&added(&scene, plan, blanket)));
+            assert_close(&a, &b, &answer.scale, 1e-9, "information");
+            assert_same_gradient(&g, &h, &answer, 1e-9);
+            let difference = linear.constant() - ordinary.constant();
+            assert!(difference.abs() < 1e-9 * linear.constant().abs().max(1.0));
+        }
+    }
+}
+
+#[test]
+fn ranges_from_three_poses_need_the_whole_blanket() {
+    use evergraph_factors::Range;
+    use evergraph_model::{Point2, Pose2};
+    let mut draw = Draw::new(3);
+    let scene = Scene::of(|change| {
+        let point = Point2::new(1.0, 2.0);
+        let landmark = change.add_variable(&point);
+        for pose in
+            [Pose2::new(0.0, 0.0, 0.3), Pose2::new(4.0, 0.0, 1.0), Pose2::new(1.0, 5.0, 0.0)]
+        {
+            let key = change.add_variable(&pose);
+            let z = (pose.translation().vector() - point.vector()).norm() + 0.1;
+            change.add_factor(Range::new(key, landmark, z, draw.noise(1)).unwrap());
+        }
+    });
+    for recovery in [Recovery::Glc, Recovery::Nonlinear] {
+        let plan = scene.plan(scene.ids()[0], Options { recovery, ..Options::default() });
+        let step = &plan.steps()[0];
+        assert_eq!((step.rank, step.topology), (1, Topology::Dense));
+        assert_eq!(step.fallback, Some(Fallback::DenseForRank));
+        assert_eq!(step.added.len(), 1);
+    }
+}

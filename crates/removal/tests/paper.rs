@@ -1,0 +1,152 @@
+//! The GLC paper's equations, written down from its text with dense inverses, on targets where
+//! those exist.
+// Helpers of tests fail the test.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::*;
+use evergraph_factors::{BetweenPose2, BetweenPose3, Prior};
+use evergraph_model::{LieGroup, Pose2, Pose3};
+use evergraph_removal::{Offset, Options, RootShift, Topology};
+use nalgebra::DMatrix;
+
+/// A node, others around it, and an absolute measurement of each, so that Λ_t is regular.
+fn regular(space: bool, count: usize, seed: u64) -> Scene {
+    let mut draw = Draw::new(seed);
+    Scene::of(|change| {
+        if space {
+            let values: Vec<Pose3> = (0..=count).map(|_| draw.pose3()).collect();
+            let keys: Vec<_> = values.iter().map(|x| change.add_variable(x)).collect();
+            for k in 1..=count {
+                let z = values[0].between(&values[k]);
+                change.add_factor(BetweenPose3::new(keys[0], keys[k], z, draw.noise(6)).unwrap());
+                change.add_factor(Prior::new(keys[k], values[k], draw.noise(6)).unwrap());
+            }
+        } else {
+            let values: Vec<Pose2> = (0..=count).map(|_| draw.pose2()).collect();
+            let keys: Vec<_> = values.iter().map(|x| change.add_variable(x)).collect();
+            for k in 1..=count {
+                let z = values[0].between(&values[k]).compose(&Pose2::exp(&draw.vector(0.02)));
+                change.add_factor(BetweenPose2::new(keys[0], keys[k], z, draw.noise(3)).unwrap());
+                change.add_factor(Prior::new(keys[k], values[k], draw.noise(3)).unwrap());
+            }
+        }
+    })
+}
+
+fn block(m: &DMatrix<f64>, rows: &[usize], columns: &[usize], dim: usize) -> DMatrix<f64> {
+    DMatrix::from_fn(rows.len() * dim, columns.len() * dim, |i, j| {
+        m[(rows[i / dim] * dim + i % dim, columns[j / dim] * dim + j % dim)]
+    })
+}
+
+/// Equations 1 to 4 and 17: the information of the Chow-Liu tree over a regular Λ_t of `n`
+/// variables.
+fn tree_information(lambda: &DMatrix<f64>, n: usize, dim: usize) -> DMatrix<f64> {
+    let sigma = lambda.clone().try_inverse().unwrap();
+    // (17), in bits as printed.
+    let mutual = |i: usize, j: usize| {
+        let (ii, jj) = (block(&sigma, &[i], &[i], dim), block(&sigma, &[j], &[j], dim));
+        let ij = block(&sigma, &[i], &[j], dim);
+        let given = &ii - &ij * jj.try_inverse().unwrap() * ij.transpose();
+        0.5 * (ii.determinant() / given.determinant()).log2()
+    };
+    // Kruskal.
+    let mut pairs: Vec<(usize, usize)> =
+        (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j))).collect();
+    pairs.sort_by(|a, b| mutual(b.0, b.1).total_cmp(&mutual(a.0, a.1)));
+    let mut part: Vec<usize> = (0..n).collect();
+    let mut edges = Vec::new();
+    for (i, j) in pairs {
+        let (from, to) = (part[i], part[j]);
+        if from != to {
+            part.iter_mut().filter(|p| **p == from).for_each(|p| *p = to);
+            edges.push((i, j));
+        }
+    }
+    // Orient away from the root, variable 0, and add (1): p(x_1) Π p(x_i | x_p(i)).
+    let mut total = DMatrix::zeros(n * dim, n * dim);
+    let mut add = |members: &[usize], information: &DMatrix<f64>| {
+        for a in 0..members.len() * dim {
+            for b in 0..members.len() * dim {
+                let at = |k: usize| members[k / dim] * dim + k % dim;
+                total[(at(a), at(b))] += information[(a, b)];
+            }
+        }
+    };
+    add(&[0], &block(&sigma, &[0], &[0], dim).try_inverse().unwrap());
+    let mut reached = vec![0];
+    while reached.len() < n {
+        for &(a, b) in &edges {
+            let (j, i) = match (reached.contains(&a), reached.contains(&b)) {
+                (true, false) => (a, b),
+                (false, true) => (b, a),
+                _ => continue,
+            };
+            reached.push(i);
+            let joint = block(&sigma, &[i, j], &[i, j], dim).try_inverse().unwrap();
+            let ii = joint.view((0, 0), (dim, dim)).into_owned();
+            // (3): E = [I  Λ_ii⁻¹ Λ_ij], (4): Eᵀ Λ_ii E.
+            let mut e = DMatrix::zeros(dim, 2 * dim);
+            e.view_mut((0, 0), (dim, dim)).fill_with_identity();
+            let gain = ii.clone().try_inverse().unwrap() * joint.view((0, dim), (dim, dim));
+            e.view_mut((0, dim), (dim, dim)).copy_from(&gain);
+            add(&[i, j], &(e.transpose() * ii * e));
+        }
+    }
+    total
+}
+
+#[test]
+fn trees_of_generic_linear_constraints_are_the_papers() {
+    for (space, count) in [(false, 2), (false, 5), (true, 3), (true, 4)] {
+        for seed in 0..8 {
+            let scene = regular(space, count, seed);
+            let node = scene.ids()[0];
+            for root_shift in [RootShift::InverseRoot, RootShift::Root, RootShift::None] {
+                let options = Options { root_shift, ..Options::paper() };
+                let plan = scene.plan(node, options);
+                let step = &plan.steps()[0];
+                assert_eq!(step.topology, Topology::ChowLiu);
+                let answer = answer(&scene, &[node], &step.blanket);
+                let dim = if space { 6 } else { 3 };
+                let expected = tree_information(&answer.lambda, count, dim);
+                let stack = added(&scene, &plan, &step.blanket);
+                let information = stack.0.tr_mul(&stack.0);
+                assert_close(&information, &expected, &answer.scale, 1e-9, "tree information");
+                // The measurement is the linearization point (below equation 7).
+                assert!(stack.1.amax() < 1e-13);
+            }
+        }
+    }
+}
+
+#[test]
+fn keeping_the_gradient_changes_the_offset_only() {
+    let scene = regular(false, 4, 3);
+    let node = scene.ids()[0];
+    let paper = scene.plan(node, Options::paper());
+    let kept = scene.plan(node, Options { offset: Offset::KeepGradient, ..Options::paper() });
+    let blanket = &paper.steps()[0].blanket;
+    let (a, b) = (added(&scene, &paper, blanket), added(&scene, &kept, blanket));
+    assert_eq!(a.0, b.0);
+    assert!(b.1.norm() > 1e-3);
+}
+
+#[test]
+fn isam_is_the_paper_where_no_tolerance_bites() {
+    // With two others there is one tree, whatever the weights.
+    for seed in 0..4 {
+        let scene = regular(false, 2, seed);
+        let node = scene.ids()[0];
+        let (isam, paper) = (scene.plan(node, Options::isam()), scene.plan(node, Options::paper()));
+        let blanket = &paper.steps()[0].blanket;
+        let answer = answer(&scene, &[node], blanket);
+        let [a, b] = [&isam, &paper].map(|plan| normal(&added(&scene, plan, blanket)).0);
+        assert_close(&a, &b, &answer.scale, 1e-9, "information");
+    }
+    let scene = regular(false, 5, 9);
+    let plan = scene.plan(scene.ids()[0], Options::isam());
+    assert_eq!(plan.steps()[0].added.len(), 5, "a root and four edges");
+}

@@ -1,0 +1,209 @@
+//! Plans that are refused, and why.
+// Helpers of tests fail the test.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::*;
+use evergraph_factors::{BetweenPose2, Prior};
+use evergraph_model::{
+    Graph, GraphError, Key, LieGroup, Manifold, Noise, Pose2, Value, VariableId,
+};
+use evergraph_removal::{Guard, Options, Order, Rank, Recovery, Removal, RemovalError};
+use evergraph_solver::{Settings, Smoother, SmootherError};
+
+fn sigma() -> Noise {
+    Noise::isotropic(3, 0.1).unwrap()
+}
+
+/// A prior and a chain of poses.
+fn chain(count: usize) -> (Smoother, Vec<Key<Pose2>>) {
+    let mut smoother = Smoother::new(Settings { threads: 1, ..Settings::default() }).unwrap();
+    let mut change = smoother.change();
+    let keys: Vec<_> = (0..count)
+        .map(|k| change.add_variable(&Pose2::new(k as f64, 0.0, 0.1 * k as f64)))
+        .collect();
+    change.add_factor(Prior::new(keys[0], Pose2::identity(), sigma()).unwrap());
+    for pair in keys.windows(2) {
+        let z = Pose2::new(1.0, 0.1, 0.1);
+        change.add_factor(BetweenPose2::new(pair[0], pair[1], z, sigma()).unwrap());
+    }
+    smoother.apply(change).unwrap();
+    (smoother, keys)
+}
+
+#[test]
+fn a_plan_goes_stale_with_anything_that_it_read() {
+    let (smoother, keys) = chain(5);
+    let plan = Removal::new(smoother.graph(), &smoother.estimates()).plan(keys[2]).unwrap();
+    let edge = |smoother: &Smoother, a: usize, b: usize| {
+        let mut change = smoother.change();
+        let z = Pose2::new((b - a) as f64, 0.0, 0.0);
+        change.add_factor(BetweenPose2::new(keys[a], keys[b], z, sigma()).unwrap());
+        change
+    };
+    let stale = |smoother: &mut Smoother| {
+        let before = smoother.fingerprint();
+        let error = smoother.apply(plan.change().clone()).unwrap_err();
+        assert!(matches!(error, SmootherError::Graph(GraphError::Stale { .. })), "{error}");
+        assert_eq!(smoother.fingerprint(), before, "a refusal alters nothing");
+    };
+    // A new factor on a variable of the blanket, on the node, and a moved linearization point.
+    for (a, b) in [(0, 1), (2, 4)] {
+        let mut other = smoother.clone();
+        other.apply(edge(&other, a, b)).unwrap();
+        stale(&mut other);
+    }
+    let mut other = smoother.clone();
+    let mut change = other.change();
+    change.move_linearization_point(keys[3], &Pose2::new(3.0, 0.2, 0.0));
+    other.apply(change).unwrap();
+    stale(&mut other);
+    // A dropped factor, in the place of which another keeps the graph whole.
+    let mut other = smoother.clone();
+    let mut change = edge(&other, 1, 2);
+    let dropped = other.graph().factors_of(keys[2].id()).unwrap()[0];
+    change.drop_factor(dropped);
+    other.apply(change).unwrap();
+    stale(&mut other);
+    // Another plan that shares the blanket.
+    let mut other = smoother.clone();
+    let first = Removal::new(other.graph(), &other.estimates()).plan(keys[1]).unwrap();
+    other.apply(first.into_change()).unwrap();
+    stale(&mut other);
+    // Nothing has changed.
+    let mut other = smoother;
+    assert!(plan.drift(&other.estimates()).unwrap() < 1e-12);
+    other.apply(plan.into_change()).unwrap();
+}
+
+#[test]
+fn what_cannot_be_removed_is_said() {
+    let (smoother, keys) = chain(3);
+    let (graph, estimates) = (smoother.graph(), smoother.estimates());
+    let plan = |nodes: &[VariableId]| {
+        Removal::new(graph, &estimates).plan_many(nodes, Order::Given).unwrap_err()
+    };
+    let ids: Vec<VariableId> = keys.iter().map(|k| k.id()).collect();
+    assert!(matches!(plan(&[]), RemovalError::Nothing));
+    assert!(matches!(plan(&[ids[1], ids[1]]), RemovalError::Twice { .. }));
+    // All poses, one by one and as a group.
+    assert!(matches!(plan(&ids), RemovalError::LastPose { .. } | RemovalError::NoBlanket { .. }));
+    let error = Removal::new(graph, &estimates)
+        .with_options(Options::dense())
+        .plan_many(&ids, Order::Given)
+        .unwrap_err();
+    assert!(matches!(error, RemovalError::NoBlanket { .. }), "{error}");
+    let (lonely, lone) = chain(1);
+    let error = Removal::new(lonely.graph(), &lonely.estimates()).plan(lone[0]).unwrap_err();
+    assert!(matches!(error, RemovalError::NoBlanket { .. }), "{error}");
+    // Ids of another graph, and removed ones.
+    assert!(matches!(plan(&[lone[0].id()]), RemovalError::Graph(GraphError::Foreign { .. })));
+    let mut smaller = smoother.clone();
+    let gone = Removal::new(smaller.graph(), &smaller.estimates()).plan(ids[1]).unwrap();
+    smaller.apply(gone.into_change()).unwrap();
+    let error = Removal::new(smaller.graph(), &smaller.estimates()).plan(ids[1]).unwrap_err();
+    assert!(matches!(error, RemovalError::Graph(GraphError::UnknownVariable { .. })), "{error}");
+    // Estimates of an older graph.
+    let error = Removal::new(graph, &smaller.estimates()).plan(ids[1]).unwrap_err();
+    assert!(matches!(error, RemovalError::Graph(GraphError::UnknownVariable { .. })), "{error}");
+}
+
+#[test]
+fn the_last_pose_stays_with_its_landmarks() {
+    use evergraph_factors::RelativePosition2;
+    use evergraph_model::Point2;
+    let scene = Scene::of(|change| {
+        let pose = change.add_variable(&Pose2::identity());
+        for k in 0..3 {
+            let p = Point2::new(1.0, f64::from(k));
+            let point = change.add_variable(&p);
+            let noise = Noise::isotropic(2, 0.1).unwrap();
+            change.add_factor(RelativePosition2::new(pose, point, p, noise).unwrap());
+        }
+    });
+    let error = Removal::new(&scene.graph, &scene.values()).plan(scene.ids()[0]).unwrap_err();
+    assert!(matches!(error, RemovalError::LastPose { .. }), "{error}");
+}
+
+#[test]
+fn numbers_that_are_not_finite_are_named() {
+    let (smoother, keys) = chain(4);
+    let graph: &Graph = smoother.graph();
+    let with = |bad: VariableId, value: Value| {
+        let estimates = smoother.estimates();
+        let lookup = move |id: VariableId| {
+            Ok(if id == bad { value.clone() } else { estimates.value(id)?.to_value() })
+        };
+        Removal::new(graph, &lookup).plan(keys[1]).unwrap_err()
+    };
+    let nan = Value::new(&Pose2::new(f64::NAN, 0.0, 0.0));
+    let error = with(keys[2].id(), nan);
+    assert!(
+        matches!(&error, RemovalError::NonFiniteEstimate { variable, .. } if *variable == keys[2].id())
+    );
+    let far = Value::new(&Pose2::new(1e200, 0.0, 0.0));
+    let error = with(keys[2].id(), far);
+    assert!(matches!(error, RemovalError::NonFiniteFactor { .. }), "{error}");
+    let other = Value::new(&evergraph_model::Point2::new(1.0, 2.0));
+    let error = with(keys[0].id(), other);
+    assert!(matches!(error, RemovalError::EstimateMismatch { .. }), "{error}");
+    assert!(Pose2::identity().dim() == 3);
+}
+
+#[test]
+fn options_without_meaning_and_missing_parts_are_refused() {
+    let (smoother, keys) = chain(4);
+    let estimates = smoother.estimates();
+    let with = |options: Options| {
+        Removal::new(smoother.graph(), &estimates).with_options(options).plan(keys[1]).unwrap_err()
+    };
+    let default = Options::default();
+    for options in [
+        Options { least_weight: f64::NAN, ..default },
+        Options { least_weight: 2.0, ..default },
+        Options { guard: Guard { rotation: 0.0, ..Guard::default() }, ..default },
+        Options { guard: Guard { mahalanobis: f64::NAN, ..Guard::default() }, ..default },
+        Options { rank: Rank::Absolute(-1.0), ..default },
+        Options { rank: Rank::Absolute(f64::INFINITY), ..default },
+    ] {
+        let error = with(options);
+        assert!(matches!(error, RemovalError::Option { .. }), "{error}");
+    }
+    let error = Removal::new(smoother.graph(), &estimates)
+        .plan_many(&[keys[1].id()], Order::MinLoss)
+        .unwrap_err();
+    assert!(matches!(error, RemovalError::NeedsCovariance), "{error}");
+    // The prior cannot be composed.
+    let composition = Options { recovery: Recovery::Composition, ..default };
+    let error = Removal::new(smoother.graph(), &estimates)
+        .with_options(composition)
+        .plan(keys[0])
+        .unwrap_err();
+    let text = error.to_string();
+    assert!(text.contains("x0") && text.contains("f0") && text.contains("Prior"), "{text}");
+    // A covariance of another shape, one that is singular, one that cannot be had.
+    let mut empty = |_: &[VariableId]| Ok::<_, String>(nalgebra::DMatrix::zeros(1, 1));
+    let mut zero = |ids: &[VariableId]| {
+        Ok::<_, String>(nalgebra::DMatrix::zeros(3 * ids.len(), 3 * ids.len()))
+    };
+    let mut none = |_: &[VariableId]| Err("no tree yet");
+    let price: [&mut dyn evergraph_removal::Covariance; 3] = [&mut empty, &mut zero, &mut none];
+    for covariance in price {
+        let error = Removal::new(smoother.graph(), &estimates)
+            .priced_by(covariance)
+            .plan(keys[1])
+            .unwrap_err();
+        assert!(matches!(error, RemovalError::Covariance { .. }), "{error}");
+    }
+}
+
+#[test]
+fn options_are_data() {
+    for options in [Options::default(), Options::dense(), Options::paper(), Options::isam()] {
+        let text = serde_json::to_string(&options).unwrap();
+        assert_eq!(serde_json::from_str::<Options>(&text).unwrap(), options, "{text}");
+    }
+    let given: Options = serde_json::from_str(r#"{"recovery":"nonlinear"}"#).unwrap();
+    assert_eq!(given, Options { recovery: Recovery::Nonlinear, ..Options::default() });
+}
