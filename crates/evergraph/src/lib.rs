@@ -8,6 +8,7 @@
 //! | [`model`] | keys, manifolds, noise, the [`Factor`] trait, the graph and the [`Change`]; units, frames and conventions |
 //! | [`factors`] | priors, odometry, landmarks, GPS, partial states, linear (GLC) factors |
 //! | [`solver`] | the [`Smoother`]: incremental updates, batch optimization, relinearization |
+//! | [`removal`] | nodes taken out as ordinary changes, and what that costs |
 //! | [`formats`] | g2o, TORO and iSAM files, and their replay |
 //! | [`simulate`] | worlds with known truth |
 //! | [`evaluate`] | errors of a map against truth and against the batch optimum |

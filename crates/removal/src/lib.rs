@@ -15,7 +15,8 @@
 //! 5. The **price**: the Kullback-Leibler divergence of the map after from the map before.
 //!
 //! Throughout, ξ is a right perturbation at the estimate and η = -Σ Jᵀ r. Everything is done on
-//! square roots: no `JᵀJ` is formed, so that ranks are told down to 1e-10 of a column's norm and
+//! square roots (but for prices, composition and iSAM's variants), so that ranks are told down to 1e-10
+//! of a column's norm and
 //! what is relative stays exactly that.
 //!
 //! # What is promised
@@ -25,7 +26,11 @@
 //! - `null(Λ') = null(Λ_t)`: no direction becomes free, whatever the rest of the graph. Where a tree
 //!   cannot do that, the step says what took its place ([`Fallback`]).
 //! - Removal at the optimum moves nothing ([`Offset::KeepGradient`]).
-//! - A plan goes stale, rather than wrong, when anything that it read changes ([`Plan`]).
+//!
+//! Not of what is asked to be lost: [`Recovery::Drop`], [`Recovery::Composition`],
+//! [`Rank::Absolute`] and robust factors below [`Options::least_weight`].
+//!
+//! A plan goes stale, rather than wrong, when anything that it read changes ([`Plan`]).
 //!
 //! # When not to remove
 //!

@@ -23,7 +23,7 @@ pub(crate) fn run(
     if exact {
         for group in groups(work.overlay, nodes) {
             let draft = work.draft(&group)?;
-            work.take(draft);
+            work.take(draft)?;
         }
         return Ok(());
     }
@@ -38,7 +38,7 @@ pub(crate) fn run(
 fn one_by_one(work: &mut Work<'_, '_>, nodes: &[VariableId]) -> Result<(), RemovalError> {
     for &node in nodes {
         let draft = work.draft(&[node])?;
-        work.take(draft);
+        work.take(draft)?;
     }
     Ok(())
 }
@@ -53,7 +53,7 @@ fn by_degree(work: &mut Work<'_, '_>, nodes: &[VariableId]) -> Result<(), Remova
     while let Some((_, node)) = queue.pop_first() {
         let draft = work.draft(&[node])?;
         let touched = draft.step.blanket.clone();
-        work.take(draft);
+        work.take(draft)?;
         degrees.remove(&node);
         for neighbor in touched {
             if let Some(known) = degrees.get_mut(&neighbor) {
@@ -83,7 +83,7 @@ fn by_loss(work: &mut Work<'_, '_>, nodes: &[VariableId]) -> Result<(), RemovalE
         // A neighborhood has changed when it shares a variable with this one.
         let touched: BTreeSet<VariableId> =
             draft.step.blanket.iter().chain(&draft.step.removed).copied().collect();
-        work.take(draft);
+        work.take(draft)?;
         let changed: Vec<VariableId> = drafts
             .iter()
             .filter(|(node, draft)| {

@@ -61,14 +61,7 @@ impl Neighborhood {
         if blanket.is_empty() && !overlay.leads_to_kept(removed) {
             return Err(RemovalError::NoBlanket { variable: first });
         }
-        let poses = |ids: &[VariableId]| {
-            let kinds = ids.iter().map(|id| overlay.graph.kind_at(id.index()));
-            kinds.filter(|kind| crate::motion::pose_of(kind).is_some()).count()
-        };
-        let removed_poses = poses(removed);
-        if removed_poses > 0 && removed_poses == overlay.poses() {
-            return Err(RemovalError::LastPose { variable: first });
-        }
+        check_last_pose(overlay, removed)?;
         let members = removed
             .iter()
             .chain(&blanket)
@@ -196,5 +189,20 @@ impl<'a> Places<'a> {
 
     fn of(&self, id: VariableId) -> Option<usize> {
         self.removed(id).or_else(|| self.blanket(id))
+    }
+}
+
+/// Refuses to take the last poses of a graph out.
+pub(crate) fn check_last_pose(
+    overlay: &Overlay<'_>,
+    removed: &[VariableId],
+) -> Result<(), RemovalError> {
+    let is_pose =
+        |id: &&VariableId| crate::motion::pose_of(overlay.graph.kind_at(id.index())).is_some();
+    match removed.iter().find(is_pose) {
+        Some(&variable) if removed.iter().filter(is_pose).count() == overlay.poses() => {
+            Err(RemovalError::LastPose { variable })
+        }
+        _ => Ok(()),
     }
 }

@@ -4,6 +4,7 @@ use evergraph_model::{Change, Graph, GraphError, VariableId};
 
 use crate::error::RemovalError;
 use crate::many;
+use crate::neighborhood::check_last_pose;
 use crate::options::{Options, Rank};
 use crate::order::Order;
 use crate::overlay::{Estimates, Overlay};
@@ -257,7 +258,9 @@ impl Work<'_, '_> {
     }
 
     /// Makes a step part of the plan.
-    pub(crate) fn take(&mut self, draft: Draft) {
+    pub(crate) fn take(&mut self, draft: Draft) -> Result<(), RemovalError> {
+        // It may have been drafted when there were others.
+        check_last_pose(self.overlay, &draft.step.removed)?;
         let Draft { mut step, factors, before, after, .. } = draft;
         let dropped = step.absorbed.iter().chain(&step.rejected).copied();
         step.first_new = self.overlay.apply(&step.removed, dropped, &factors);
@@ -267,6 +270,7 @@ impl Work<'_, '_> {
             self.ledger.note(step.blanket.clone(), dims, before, after);
         }
         self.steps.push(step);
+        Ok(())
     }
 
     pub(crate) fn is_priced(&self) -> bool {

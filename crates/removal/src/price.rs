@@ -7,6 +7,9 @@ use crate::error::RemovalError;
 
 /// Joint covariances of the full graph at the estimate, for example from the clique tree. Closures
 /// `FnMut(&[VariableId]) -> Result<DMatrix<f64>, E>` are covariances.
+///
+/// A smoother's are of the tangents at its linearization points: prices are exact where these are the
+/// estimates, as right after a batch step, and off by how far headings have moved since otherwise.
 pub trait Covariance {
     /// The joint covariance of `variables`, in that order, each in the order of its tangent.
     ///

@@ -5,9 +5,9 @@
 mod common;
 
 use common::*;
-use evergraph_factors::{BetweenPose2, Prior};
+use evergraph_factors::{BetweenPose2, Prior, RelativePosition2};
 use evergraph_model::{
-    Graph, GraphError, Key, LieGroup, Manifold, Noise, Pose2, Value, VariableId,
+    Graph, GraphError, Key, LieGroup, Manifold, Noise, Point2, Pose2, Value, VariableId,
 };
 use evergraph_removal::{Guard, Options, Order, Rank, Recovery, Removal, RemovalError};
 use evergraph_solver::{Settings, Smoother, SmootherError};
@@ -124,6 +124,34 @@ fn the_last_pose_stays_with_its_landmarks() {
     });
     let error = Removal::new(&scene.graph, &scene.values()).plan(scene.ids()[0]).unwrap_err();
     assert!(matches!(error, RemovalError::LastPose { .. }), "{error}");
+}
+
+/// Two poses that have nothing to do with each other: each could go, not both.
+#[test]
+fn the_last_pose_stays_whatever_the_order() {
+    let mut smoother = Smoother::new(Settings::default()).unwrap();
+    let mut change = smoother.change();
+    let noise = Noise::isotropic(3, 0.1).unwrap();
+    let mut poses = Vec::new();
+    for k in 0..2 {
+        let pose = change.add_variable(&Pose2::new(f64::from(k), 0.0, 0.0));
+        let point = change.add_variable(&Point2::new(f64::from(k), 1.0));
+        let prior = Prior::new(pose, Pose2::new(f64::from(k), 0.0, 0.0), noise.clone());
+        change.add_factor(prior.unwrap());
+        let two = Noise::isotropic(2, 0.1).unwrap();
+        let seen = RelativePosition2::new(pose, point, Point2::new(0.0, 1.0), two);
+        change.add_factor(seen.unwrap());
+        poses.push(pose.id());
+    }
+    smoother.apply(change).unwrap();
+    for order in [Order::Given, Order::Random(1), Order::MinDegree, Order::MinLoss] {
+        let mut joint = |ids: &[VariableId]| smoother.joint(ids);
+        let estimates = smoother.estimates();
+        let mut removal = Removal::new(smoother.graph(), &estimates).priced_by(&mut joint);
+        let error = removal.plan_many(&poses, order).unwrap_err();
+        assert!(matches!(error, RemovalError::LastPose { .. }), "{order:?}: {error}");
+        assert!(removal.plan_many(&poses[..1], order).is_ok());
+    }
 }
 
 #[test]

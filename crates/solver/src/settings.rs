@@ -113,7 +113,8 @@ pub struct Settings {
     /// When linearization points move. Default: [`Relinearization::BOTH`].
     pub relinearization: Relinearization,
     /// Between updates δ is only propagated down the tree where it moved by more than this (m and
-    /// rad). It decides what a relinearization check sees; estimates that are asked for are exact, or
+    /// rad); between sweeps by more than 0.4 of the check's threshold, so that a check sees roughly
+    /// what has moved, and a sweep exactly. It decides what a relinearization check sees; estimates that are asked for are exact, or
     /// to within what [`Smoother::kept_estimates`](crate::Smoother::kept_estimates) is given.
     /// Default 1e-3.
     pub back_substitution_tolerance: f64,
