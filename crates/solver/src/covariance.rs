@@ -99,7 +99,11 @@ impl Covariances<'_> {
         below.sort_unstable_by(|x, y| y.cmp(x));
         below.dedup();
 
-        let mut rhs = RightHandSide::new(slots().map(|v| graph.dim_at(v)).sum());
+        let columns = slots().map(|v| graph.dim_at(v)).sum();
+        if columns == 0 {
+            return Ok(DMatrix::zeros(0, 0));
+        }
+        let mut rhs = RightHandSide::new(columns);
         for &(_, clique) in &below {
             rhs.add_rows(self.smoother, &tree.clique(clique).structure.frontals);
         }
@@ -177,7 +181,7 @@ impl RightHandSide {
     }
 
     fn rows(&self) -> usize {
-        self.data.len() / self.columns.max(1)
+        self.data.len() / self.columns
     }
 
     /// Zeros for more variables.
