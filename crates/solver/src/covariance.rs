@@ -264,7 +264,7 @@ fn from_separator(clique: &Clique, above: Option<DMatrix<f64>>) -> DMatrix<f64> 
     let (f, n) = (layout.frontal(), layout.columns() - 1);
     let above = above.unwrap_or_default();
     // [R_FF⁻¹ P], by back-substitution on [I R_FS].
-    let mut solved = DMatrix::zeros(f, f + n - f);
+    let mut solved = DMatrix::zeros(f, n);
     for j in 0..f {
         solved[(j, j)] = 1.0;
         for (s, r) in (f..n).zip(&clique.numeric.row(j)[f - j..]) {

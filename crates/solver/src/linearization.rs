@@ -123,7 +123,7 @@ impl Overlay {
         is_new
     }
 
-    /// As the how manieth a factor was taken in.
+    /// Where in `places` a factor that was taken in is.
     #[inline]
     pub(crate) fn position(&self, factor: usize) -> Option<usize> {
         self.positions.get(factor).filter(|at| **at != u32::MAX).map(|at| *at as usize)

@@ -321,6 +321,28 @@ mod tests {
     use super::*;
     use crate::{Relinearization, Settings, Smoother};
 
+    /// One beyond the threshold takes those along that are within reach; none takes nobody.
+    #[test]
+    fn one_beyond_the_threshold_takes_others_along() {
+        let mut smoother = Smoother::new(Settings::default()).unwrap();
+        let noise = Noise::isotropic(3, 0.1).unwrap();
+        let mut change = smoother.change();
+        for _ in 0..3 {
+            let pose = change.add_variable(&Pose2::identity());
+            change.add_factor(Prior::new(pose, Pose2::identity(), noise.clone()).unwrap());
+        }
+        smoother.apply(change).unwrap();
+        let Smoother { graph, solution, .. } = &mut smoother;
+        for (v, moved) in [(0, 0.3), (1, -0.15), (2, 0.05)] {
+            solution.delta[graph.tangent_range(v as usize).start] = moved;
+            solution.far.push(v);
+        }
+        let mut moved = |threshold, reach| solution.moved_beyond(graph, threshold, reach, 0.01);
+        assert_eq!(moved(0.25, 0.25), [0]);
+        assert_eq!(moved(0.25, 0.1), [0, 1]);
+        assert_eq!(moved(0.4, 0.1), [0; 0]);
+    }
+
     /// After a fine pass δ is the exact one, whatever coarse passes have left.
     #[test]
     fn a_fine_pass_finds_all_small_changes() {
