@@ -29,6 +29,19 @@ pub enum RemovalError {
         /// The variable, or the first of its group.
         variable: VariableId,
     },
+    /// A blanket that would take too long.
+    #[error(
+        "variable {variable} shares factors with variables of {dim} dimensions in all, and planning is cubic \
+         in them; raise `Options::largest_blanket`, {largest} now, or keep it"
+    )]
+    LargeBlanket {
+        /// The variable, or the first of its group.
+        variable: VariableId,
+        /// Tangent dimensions of the blanket.
+        dim: usize,
+        /// The limit.
+        largest: usize,
+    },
     /// A graph of poses must keep one.
     #[error("removing {variable} would take the last pose out of the graph; keep at least one")]
     LastPose {

@@ -53,6 +53,7 @@
 mod covariance;
 mod error;
 mod many;
+mod marginals;
 mod motion;
 mod neighborhood;
 mod options;

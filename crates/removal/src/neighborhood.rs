@@ -62,6 +62,11 @@ impl Neighborhood {
             return Err(RemovalError::NoBlanket { variable: first });
         }
         check_last_pose(overlay, removed)?;
+        let dim = blanket.iter().map(|id| overlay.graph.dim_at(id.index())).sum();
+        if dim > options.largest_blanket {
+            let largest = options.largest_blanket;
+            return Err(RemovalError::LargeBlanket { variable: first, dim, largest });
+        }
         let members = removed
             .iter()
             .chain(&blanket)

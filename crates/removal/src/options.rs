@@ -119,6 +119,9 @@ pub struct Options {
     pub least_weight: f64,
     /// When a tree is not trusted.
     pub guard: Guard,
+    /// A blanket of more tangent dimensions than this is refused: planning is cubic in it. A
+    /// beacon that is heard from all of a map has one. Default 3000, which takes minutes.
+    pub largest_blanket: usize,
 }
 
 impl Default for Options {
@@ -133,6 +136,7 @@ impl Default for Options {
             intra_clique: true,
             least_weight: 0.01,
             guard: Guard::default(),
+            largest_blanket: 3000,
         }
     }
 }

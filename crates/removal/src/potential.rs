@@ -1,5 +1,7 @@
 //! The terms that the target is split into, and the point where they agree with its gradient.
 
+use std::cell::LazyCell;
+
 use nalgebra::{DMatrix, DVector};
 use smallvec::{SmallVec, smallvec};
 
@@ -40,7 +42,8 @@ impl Potential {
     }
 
     /// The terms of a tree: a unary one at the root and one for each edge. Where the target's
-    /// covariance can be trusted they are taken from that, which costs less.
+    /// covariance can be trusted they are taken from that, which costs less than the marginals of
+    /// pairs. O(n³) either way.
     pub(crate) fn of_tree(
         target: &Target,
         covariance: Option<&CovarianceRoot>,
@@ -54,21 +57,32 @@ impl Potential {
             rows: match target.is_relative(tree.root) {
                 true => DMatrix::zeros(0, target.dim_of(tree.root)),
                 false => regular.map_or_else(
-                    || target.marginal_of(tree.root, None),
+                    || target.reduced(tree.root, target.marginal(&[tree.root])),
                     |covariance| information_root(&covariance.rows(target, &[tree.root])),
                 ),
             },
             relative: false,
         };
-        let edges = tree.edges.iter().map(|&(child, parent)| {
+        // Columns of the child, then of the parent.
+        let pairs = LazyCell::new(|| {
+            let sets: Vec<[usize; 2]> = tree.edges.iter().map(|&(c, p)| [c, p]).collect();
+            target.marginals(&sets)
+        });
+        let edges = tree.edges.iter().enumerate().map(|(edge, &(child, parent))| {
             if let Some(pose) = target.holdable(child, parent) {
                 let seen = if pose == parent { child } else { parent };
                 let rows = covariance
                     .and_then(|covariance| covariance.seen(target, pose, seen))
-                    .map_or_else(|| target.marginal_of(seen, Some(pose)), |b| information_root(&b));
+                    .map(|b| information_root(&b));
+                // The pose is held where it is: its columns are left out.
+                let rows = rows.unwrap_or_else(|| {
+                    let (first, dim) = (target.dim_of(child), target.dim_of(seen));
+                    let start = if seen == child { 0 } else { first };
+                    target.reduced(seen, pairs[edge].columns(start, dim).into_owned())
+                });
                 Self::seen_from(target, pose, seen, rows)
             } else if recovery == Recovery::Nonlinear
-                && let Some(relative) = Self::relative_part(target, parent, child)
+                && let Some(relative) = Self::relative_part(target, &pairs[edge], child, parent)
             {
                 relative
             } else {
@@ -78,14 +92,14 @@ impl Potential {
                         rows: covariance.conditional(target, child, parent),
                         relative: false,
                     },
-                    None => Self::conditional(target, child, parent),
+                    None => Self::conditional(target, pairs[edge].clone(), child, parent),
                 }
             }
         });
         keep(std::iter::once(root).chain(edges))
     }
 
-    /// `p_t(x_i | x_j)`, equations 2 to 4 of the GLC paper. With the square root of the pair's
+    /// `p_t(x_i | x_j)`, equations 2 to 4 of the GLC paper. With the square root `rows` of the pair's
     /// marginal brought into echelon form, x_i first,
     ///
     /// ```text
@@ -96,17 +110,12 @@ impl Potential {
     /// the information `Eᵀ Λ_ii E`, `E = [I  Λ_ii⁻¹ Λ_ij]`, that the constraint adds is that of the
     /// upper rows: `R_ii E = [R_ii R_ij]`. No inverse is needed, so any rank will do; the lower row is
     /// the marginal of x_j, which belongs to the next term towards the root.
-    fn conditional(target: &Target, child: usize, parent: usize) -> Self {
-        let mut rows = target.marginal(&[child, parent], None);
+    fn conditional(target: &Target, mut rows: DMatrix<f64>, child: usize, parent: usize) -> Self {
         let dim = target.dim_of(child);
         let rank = echelon(&mut rows, dim, &target.scales[target.columns(child)]).len();
         let rows = rows.rows(0, rank).into_owned();
         // A root shift sees the child from the parent.
-        let (upper, lower) = (rows.columns(0, dim), rows.columns(dim, rows.ncols() - dim));
-        let mut turned = DMatrix::zeros(rank, rows.ncols());
-        turned.columns_mut(0, lower.ncols()).copy_from(&lower);
-        turned.columns_mut(lower.ncols(), dim).copy_from(&upper);
-        Self { members: smallvec![parent, child], rows: turned, relative: false }
+        Self { members: smallvec![parent, child], rows: swapped(&rows, dim), relative: false }
     }
 
     /// What `rows` say of `seen` with `pose` held, for any place of the pose: `[-G A  G]`.
@@ -125,12 +134,20 @@ impl Potential {
     /// `(x_1, x_1⁻¹ x_2)` the square root is `[R_1 + R_2 A  R_2]`, and eliminating the first
     /// coordinate leaves the marginal of the second. On a tree these marginals and the root's are
     /// the information matrices of least divergence (Mazuran, Burgard and Tipaldi 2016, closed form).
-    fn relative_part(target: &Target, parent: usize, child: usize) -> Option<Self> {
+    fn relative_part(
+        target: &Target,
+        pair: &DMatrix<f64>,
+        child: usize,
+        parent: usize,
+    ) -> Option<Self> {
         let is_pose = |m: usize| pose_of(target.members[m].value.kind()).is_some();
         let (pose, seen) = if is_pose(parent) { (parent, child) } else { (child, parent) };
         let motion = carried(&target.members[pose].value, &target.members[seen].value)?;
-        let mut rows = target.marginal(&[pose, seen], None);
         let dim = target.dim_of(pose);
+        let mut rows = pair.clone();
+        if pose == parent {
+            rows = swapped(&rows, target.dim_of(child));
+        }
         let step = rows.columns(dim, rows.ncols() - dim) * motion;
         let mut first = rows.columns_mut(0, dim);
         first += step;
@@ -166,6 +183,12 @@ impl Potential {
             .collect();
         DVector::from_vec(entries)
     }
+}
+
+/// The first `dim` columns behind the others.
+fn swapped(rows: &DMatrix<f64>, dim: usize) -> DMatrix<f64> {
+    let columns: Vec<usize> = (dim..rows.ncols()).chain(0..dim).collect();
+    rows.select_columns(&columns)
 }
 
 /// Terms that say something.

@@ -203,39 +203,6 @@ impl Target {
         let is_pose = |&m: &usize| pose_of(self.members[m].value.kind()).is_some();
         [second, first].into_iter().find(is_pose)
     }
-
-    /// The square root of the marginal of `Λ_t` over the members `kept`, columns in that order:
-    /// all others eliminated, `hold` among them held where it is.
-    ///
-    /// O(n³) in the dimension of the blanket.
-    pub(crate) fn marginal(&self, kept: &[usize], hold: Option<usize>) -> DMatrix<f64> {
-        let others = (0..self.members.len()).filter(|k| !kept.contains(k) && Some(*k) != hold);
-        let (mut stack, scales) = self.select(others.clone().chain(kept.iter().copied()));
-        let width: usize = others.map(|k| self.dim_of(k)).sum();
-        let rank = echelon(&mut stack, width, &scales).len();
-        let rows = stack.nrows() - rank;
-        stack.view((rank, width), (rows, stack.ncols() - width)).into_owned()
-    }
-
-    /// [`marginal`](Self::marginal) of a single member, in echelon form; its rows are the rank.
-    pub(crate) fn marginal_of(&self, member: usize, hold: Option<usize>) -> DMatrix<f64> {
-        let mut rows = self.marginal(&[member], hold);
-        let n = rows.ncols();
-        let rank = echelon(&mut rows, n, &self.scales[self.columns(member)]).len();
-        rows.rows(0, rank).into_owned()
-    }
-
-    /// The columns of some members side by side, with their scales.
-    fn select(&self, members: impl Iterator<Item = usize>) -> (DMatrix<f64>, Vec<f64>) {
-        let (mut data, mut scales) = (Vec::with_capacity(self.root.len()), Vec::new());
-        for member in members {
-            let columns = self.columns(member);
-            let rows = self.rank();
-            data.extend_from_slice(&self.root.as_slice()[columns.start * rows..columns.end * rows]);
-            scales.extend_from_slice(&self.scales[columns]);
-        }
-        (DMatrix::from_vec(self.rank(), scales.len(), data), scales)
-    }
 }
 
 pub(crate) fn slot(world: World) -> usize {

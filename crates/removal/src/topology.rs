@@ -77,11 +77,15 @@ fn root(target: &Target) -> usize {
     {
         return *held;
     }
-    let rank = |&k: &usize| match target.is_regular() {
-        true => target.dim_of(k),
-        false => target.marginal_of(k, None).nrows(),
+    let ranks: Vec<usize> = match target.is_regular() {
+        true => all.clone().map(|k| target.dim_of(k)).collect(),
+        false => {
+            let single: Vec<[usize; 1]> = all.clone().map(|k| [k]).collect();
+            let marginals = target.marginals(&single).into_iter().enumerate();
+            marginals.map(|(k, rows)| target.reduced(k, rows).nrows()).collect()
+        }
     };
-    all.rev().max_by_key(rank).unwrap_or(0)
+    all.rev().max_by_key(|&k| ranks[k]).unwrap_or(0)
 }
 
 type WeightOf<'a> = Box<dyn Fn(usize, usize) -> Weight + 'a>;
@@ -176,7 +180,7 @@ fn vanishing_prior(target: &Target) -> WeightOf<'_> {
 /// iSAM 1.7: `½ (ln |Λ_ij + I| - ln |Λ_i + I| - ln |Λ_j + I|)` of marginal information matrices.
 fn isam(target: &Target) -> WeightOf<'_> {
     let log_det = |kept: &[usize]| {
-        let rows = target.marginal(kept, None);
+        let rows = target.marginal(kept);
         let n = rows.ncols();
         let plus = rows.tr_mul(&rows) + DMatrix::identity(n, n);
         plus.cholesky()

@@ -235,3 +235,18 @@ fn options_are_data() {
     let given: Options = serde_json::from_str(r#"{"recovery":"nonlinear"}"#).unwrap();
     assert_eq!(given, Options { recovery: Recovery::Nonlinear, ..Options::default() });
 }
+
+#[test]
+fn a_blanket_that_would_take_too_long_is_refused() {
+    let (smoother, keys) = chain(5);
+    let plan = |largest_blanket| {
+        let options = Options { largest_blanket, ..Options::default() };
+        Removal::new(smoother.graph(), &smoother.estimates()).with_options(options).plan(keys[2])
+    };
+    let error = plan(5).unwrap_err();
+    assert!(
+        matches!(error, RemovalError::LargeBlanket { dim: 6, largest: 5, variable } if variable == keys[2].id()),
+        "{error}"
+    );
+    plan(6).unwrap();
+}
