@@ -9,7 +9,7 @@ use evergraph::formats::{Document, Line, Record, WriteOptions};
 use evergraph::model::VariableId;
 use evergraph::removal::{Offset, Options, Order, Recovery, Topology};
 use evergraph::solver::{Settings, Smoother};
-use evergraph::{Needed, Replayer, Thinning};
+use evergraph::{Needed, Replayer, Rules, Thinning};
 use serde_json::{Map, Value, json};
 
 use crate::convert;
@@ -201,7 +201,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let batch = reduced.optimize(&to_the_end()).map_err(explain)?;
     // Before the long work of the metrics.
     if let Some(path) = &arguments.output {
-        let document = reduced_document(&replayer, &reduced, &document)?;
+        let name = path.display().to_string();
+        let document = reduced_document(&name, &replayer, &reduced, &document)?;
         let written = files::write_document(path, &document, WriteOptions { plain: false })?;
         convert::tell(&written, path, output);
     }
@@ -268,13 +269,15 @@ fn thin(
     replayer: &mut Replayer,
     nodes: &[VariableId],
     arguments: &Arguments,
-    mut progress: Progress,
+    progress: Progress,
 ) -> Result<Thinning, Error> {
-    let (order, options) = (arguments.order(), arguments.options());
-    let smoother = replayer.smoother_mut();
-    let thinning = Thinning::run(smoother, nodes, order, &options, !arguments.no_price, || {
-        progress.step(|| f64::NAN);
-    });
+    let rules = Rules {
+        order: arguments.order(),
+        options: arguments.options(),
+        spared: &gauge_factors(replayer),
+        prices: !arguments.no_price,
+    };
+    let thinning = Thinning::run(replayer.smoother_mut(), nodes, &rules, || progress.tick());
     progress.finish();
     thinning.map_err(|source| Error::Removal {
         file: replayer.name().into(),
@@ -286,6 +289,7 @@ fn thin(
 /// The reduced graph at its optimum, in the ids of the file. Gauge priors are none of it, as they are
 /// none of the file's; whoever reads it puts them where they were.
 fn reduced_document(
+    name: &str,
     replayer: &Replayer,
     reduced: &Smoother,
     original: &Document,
@@ -305,7 +309,7 @@ fn reduced_document(
         replayer.replay().ids().map(|(id, variable)| (variable, id)).collect();
     let estimates = reduced.estimates();
     let document = Document::from_graph_with(
-        original.name(),
+        name,
         &graph,
         |variable| ids.get(&variable).copied(),
         |variable| Some(estimates.value(variable).ok()?.to_value()),
@@ -313,7 +317,7 @@ fn reduced_document(
     let origins = original.lines().iter();
     let origins = origins.filter(|line| matches!(line.record, Record::GeodeticOrigin { .. }));
     let lines = origins.cloned().chain(document.lines().iter().cloned()).chain(fixed);
-    Ok(Document::from_records(document.name(), document.dialect(), lines)?)
+    Ok(Document::from_records(name, document.dialect(), lines)?)
 }
 
 fn settings_json(arguments: &Arguments, settings: &Settings) -> Result<Value, Error> {

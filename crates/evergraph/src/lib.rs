@@ -89,7 +89,7 @@ pub use evergraph_model::{Change, Factor, Graph, Values};
 pub use evergraph_solver::{Phase, Profile, Report, Settings, Smoother, SmootherError};
 pub use overview::{Component, Overview};
 pub use replayer::{Replayed, Replayer, ReplayerError};
-pub use thinning::{Needed, Thinned, Thinning, ThinningError};
+pub use thinning::{Needed, Rules, Thinned, Thinning, ThinningError};
 
 /// What most programs need, in one line.
 pub mod prelude {

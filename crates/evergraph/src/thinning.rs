@@ -4,10 +4,24 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
-use evergraph_model::{Graph, GraphError, Value, VariableId};
+use evergraph_model::{FactorId, Graph, GraphError, Value, VariableId};
 use evergraph_removal::{Fallback, Options, Order, Plan, Removal, RemovalError, shuffled};
 use evergraph_solver::{Covariances, Smoother, SmootherError};
 use thiserror::Error;
+
+/// How nodes are removed one by one.
+#[derive(Clone, Copy, Debug)]
+pub struct Rules<'a> {
+    /// Who goes first.
+    pub order: Order,
+    /// What comes in the place of a node.
+    pub options: Options,
+    /// Factors that are left alone while their variables stay ([`Removal::sparing`]), such as gauge
+    /// priors.
+    pub spared: &'a [FactorId],
+    /// Whether each removal is priced.
+    pub prices: bool,
+}
 
 /// Why nodes could not be removed; the smoother is as it was.
 #[derive(Debug, Error)]
@@ -70,12 +84,12 @@ pub struct Thinning {
 }
 
 impl Thinning {
-    /// Removes `nodes` one by one, in `order`, of which the dynamic ones look at the graph as it then
+    /// Removes `nodes` one by one, in an order of which the dynamic ones look at the graph as it then
     /// is: after each removal the nodes whose blanket has changed are counted, or priced, again. A
     /// node that is needed stays and is listed. `done` is called after each node.
     ///
     /// Prices are exact where linearization points are the estimates, as after
-    /// [`Smoother::optimize`]. With `prices` each node costs one more plan, with its joint covariance;
+    /// [`Smoother::optimize`]. With [`Rules::prices`] each node costs one more plan, with its joint covariance;
     /// [`Order::MinLoss`] costs one for every node near a removed one.
     ///
     /// # Errors
@@ -83,18 +97,16 @@ impl Thinning {
     pub fn run(
         smoother: &mut Smoother,
         nodes: &[VariableId],
-        order: Order,
-        options: &Options,
-        prices: bool,
+        rules: &Rules<'_>,
         mut done: impl FnMut(),
     ) -> Result<Self, ThinningError> {
         check(smoother.graph(), nodes)?;
         let before = smoother.clone();
         let mut thinning = Self::default();
-        let result = Queue::new(smoother, nodes, order, options).and_then(|mut queue| {
+        let result = Queue::new(smoother, nodes, rules).and_then(|mut queue| {
             while let Some(node) = queue.pop() {
-                let touched = thinning.take(smoother, node, options, prices)?;
-                queue.look_again(smoother, &touched, options)?;
+                let touched = thinning.take(smoother, node, rules)?;
+                queue.look_again(smoother, &touched, rules)?;
                 done();
             }
             Ok(())
@@ -119,15 +131,14 @@ impl Thinning {
         &mut self,
         smoother: &mut Smoother,
         node: VariableId,
-        options: &Options,
-        prices: bool,
+        rules: &Rules<'_>,
     ) -> Result<Vec<VariableId>, ThinningError> {
-        let price = match prices {
-            true => priced(smoother, &mut smoother.covariances(), node, options)?,
+        let price = match rules.prices {
+            true => priced(smoother, &mut smoother.covariances(), node, rules)?,
             false => None,
         };
         let begun = Instant::now();
-        let planned = plan(smoother, node, options);
+        let planned = plan(smoother, node, rules);
         let planning = begun.elapsed();
         let plan = match planned {
             Ok(plan) => plan,
@@ -195,9 +206,12 @@ fn estimate(smoother: &Smoother, variable: VariableId) -> Result<Value, GraphErr
     })
 }
 
-fn plan(smoother: &Smoother, node: VariableId, options: &Options) -> Result<Plan, RemovalError> {
+fn plan(smoother: &Smoother, node: VariableId, rules: &Rules<'_>) -> Result<Plan, RemovalError> {
     let estimates = |variable| estimate(smoother, variable);
-    Removal::new(smoother.graph(), &estimates).with_options(*options).plan(node)
+    Removal::new(smoother.graph(), &estimates)
+        .with_options(rules.options)
+        .sparing(rules.spared)
+        .plan(node)
 }
 
 /// What a removal would cost; `None` when it cannot be planned or priced.
@@ -205,7 +219,7 @@ fn priced(
     smoother: &Smoother,
     covariances: &mut Covariances<'_>,
     node: VariableId,
-    options: &Options,
+    rules: &Rules<'_>,
 ) -> Result<Option<f64>, RemovalError> {
     let estimates = |variable| estimate(smoother, variable);
     let mut joint = |variables: &[VariableId]| covariances.joint(variables);
@@ -233,10 +247,9 @@ impl Queue {
     fn new(
         smoother: &Smoother,
         nodes: &[VariableId],
-        order: Order,
-        options: &Options,
+        rules: &Rules<'_>,
     ) -> Result<Self, ThinningError> {
-        Ok(match order {
+        Ok(match rules.order {
             Order::Given => Self::Fixed(nodes.iter().rev().copied().collect()),
             Order::Random(seed) => Self::Fixed(shuffled(nodes, seed).into_iter().rev().collect()),
             Order::MinDegree => {
@@ -250,7 +263,7 @@ impl Queue {
                 let mut covariances = smoother.covariances();
                 let mut prices = BTreeMap::new();
                 for &node in nodes {
-                    let price = priced(smoother, &mut covariances, node, options)?;
+                    let price = priced(smoother, &mut covariances, node, rules)?;
                     prices.insert(node, price.unwrap_or(f64::INFINITY));
                 }
                 Self::Loss(prices)
@@ -280,7 +293,7 @@ impl Queue {
         &mut self,
         smoother: &Smoother,
         touched: &[VariableId],
-        options: &Options,
+        rules: &Rules<'_>,
     ) -> Result<(), ThinningError> {
         let graph = smoother.graph();
         match self {
@@ -303,7 +316,7 @@ impl Queue {
                 let mut covariances = smoother.covariances();
                 for node in near {
                     if let Some(price) = prices.get_mut(&node) {
-                        let found = priced(smoother, &mut covariances, node, options)?;
+                        let found = priced(smoother, &mut covariances, node, rules)?;
                         *price = found.unwrap_or(f64::INFINITY);
                     }
                 }
