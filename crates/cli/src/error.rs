@@ -6,11 +6,11 @@ use std::process::ExitCode;
 
 use clap::CommandFactory;
 use clap::error::ErrorKind;
-use evergraph::evaluate::EvaluateError;
+use evergraph::evaluate::{DivergenceError, EvaluateError};
 use evergraph::formats::{Document, FormatError, TrajectoryError, spell_id};
 use evergraph::simulate::WorldError;
 use evergraph::solver::Singular;
-use evergraph::{Component, Overview, ReplayerError, SmootherError};
+use evergraph::{Component, Overview, ReplayerError, SmootherError, ThinningError};
 use thiserror::Error;
 
 use crate::output;
@@ -41,6 +41,27 @@ pub(crate) enum Error {
     /// The problem cannot be solved.
     #[error("{file}: {message}")]
     Unsolvable { file: String, message: String, source: Box<SmootherError> },
+    /// Nodes cannot be removed.
+    #[error("{file}: {message}")]
+    Removal { file: String, message: String, source: Box<ThinningError> },
+    /// No node was chosen.
+    #[error(
+        "{file}: nothing is to be removed: of its {variables} variables the choice takes none; ask for a \
+         larger share. The pose that holds the gauge stays in any case"
+    )]
+    NothingToRemove { file: String, variables: usize },
+    /// A list of nodes is bad.
+    #[error("{}:{line}: {problem}", path.display())]
+    List { path: PathBuf, line: usize, problem: String },
+    /// Two graphs cannot be compared.
+    #[error("{file}: {message}")]
+    Incomparable { file: String, message: String, source: Box<DivergenceError> },
+    /// A reduced graph does not fit the full one.
+    #[error("{reduced}: is no reduced graph of {full}: {problem}")]
+    NotReduced { full: String, reduced: String, problem: String },
+    /// A file could not be read.
+    #[error("{}: cannot be read: {source}", path.display())]
+    Read { path: PathBuf, source: io::Error },
     /// The world that was asked for cannot be.
     #[error("the world cannot be made: {0}")]
     World(#[from] WorldError),

@@ -1,8 +1,9 @@
-//! The `evergraph` program: replay, optimize, evaluate, measure, inspect, convert and simulate pose graphs.
+//! The `evergraph` program: replay, optimize, reduce, evaluate, measure, inspect, convert and simulate pose graphs.
 #![forbid(unsafe_code)]
 
 mod audit;
 mod bench;
+mod compare;
 mod completions;
 mod convert;
 mod error;
@@ -10,12 +11,15 @@ mod evaluate;
 mod files;
 mod info;
 mod log;
+mod nodes;
 mod optimize;
 mod options;
 mod output;
 mod outputs;
 mod plot;
 mod progress;
+mod reduction;
+mod remove;
 mod replay;
 mod report;
 mod simulate;
@@ -47,6 +51,10 @@ enum Command {
     Replay(replay::Arguments),
     /// Solve a whole file at once
     Optimize(optimize::Arguments),
+    /// Remove nodes, keep what they knew, and say what it cost
+    Remove(remove::Arguments),
+    /// Say what a reduced graph, whoever made it, has lost of the full one
+    Compare(compare::Arguments),
     /// Measure a map by the truth
     Evaluate(evaluate::Arguments),
     /// Replay a file and compare with the batch optimum along the way
@@ -69,6 +77,8 @@ impl Command {
         match self {
             Self::Replay(arguments) => Some(&arguments.common),
             Self::Optimize(arguments) => Some(&arguments.common),
+            Self::Remove(arguments) => Some(&arguments.common),
+            Self::Compare(arguments) => Some(&arguments.common),
             Self::Evaluate(arguments) => Some(&arguments.common),
             Self::Audit(arguments) => Some(&arguments.common),
             Self::Bench(arguments) => Some(&arguments.common),
@@ -88,6 +98,8 @@ fn main() -> ExitCode {
     let result = match command {
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Optimize(arguments) => optimize::run(&arguments),
+        Command::Remove(arguments) => remove::run(&arguments),
+        Command::Compare(arguments) => compare::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
         Command::Audit(arguments) => audit::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),

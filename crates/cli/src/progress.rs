@@ -48,6 +48,13 @@ impl Progress {
         bar.inc(1);
     }
 
+    /// A step is done that has no error to show.
+    pub(crate) fn tick(&self) {
+        if let Some(bar) = &self.bar {
+            bar.inc(1);
+        }
+    }
+
     /// Says what is going on after the last step.
     pub(crate) fn say(&self, text: &'static str) {
         if let Some(bar) = &self.bar {

@@ -91,6 +91,29 @@ impl Times {
     }
 }
 
+/// How times of the same thing spread, in milliseconds.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct Spread {
+    mean: f64,
+    p50: f64,
+    p99: f64,
+    max: f64,
+}
+
+impl Spread {
+    pub(crate) fn of(times: impl Iterator<Item = Duration>) -> Self {
+        let times: Vec<Duration> = times.collect();
+        let Times { mean_ms, p50_ms, p99_ms, max_ms, .. } = Times::of(&times, Duration::ZERO);
+        Self { mean: mean_ms, p50: p50_ms, p99: p99_ms, max: max_ms }
+    }
+
+    /// For people.
+    pub(crate) fn describe(&self) -> String {
+        let [mean, p50, p99, max] = [self.mean, self.p50, self.p99, self.max].map(milliseconds);
+        format!("mean {mean}, p50 {p50}, p99 {p99}, max {max}")
+    }
+}
+
 /// The median; 0 of nothing.
 fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut sorted: Vec<f64> = values.collect();

@@ -11,7 +11,7 @@
 //! | [`removal`] | nodes taken out as ordinary changes, and what that costs |
 //! | [`formats`] | g2o, TORO and iSAM files, and their replay |
 //! | [`simulate`] | worlds with known truth |
-//! | [`evaluate`] | errors of a map against truth and against the batch optimum |
+//! | [`evaluate`] | errors of a map against truth and against the batch optimum; what a reduced graph has lost |
 //!
 //! # Embed it
 //!
@@ -72,6 +72,7 @@ mod chordal;
 mod chordal_linear;
 mod overview;
 mod replayer;
+mod thinning;
 mod words;
 
 pub use evergraph_evaluate as evaluate;
@@ -88,6 +89,7 @@ pub use evergraph_model::{Change, Factor, Graph, Values};
 pub use evergraph_solver::{Phase, Profile, Report, Settings, Smoother, SmootherError};
 pub use overview::{Component, Overview};
 pub use replayer::{Replayed, Replayer, ReplayerError};
+pub use thinning::{Needed, Rules, Thinned, Thinning, ThinningError};
 
 /// What most programs need, in one line.
 pub mod prelude {

@@ -13,6 +13,7 @@ use evergraph_solver::{
 };
 use thiserror::Error;
 
+use crate::thinning::{Needed, ThinningError};
 use crate::words;
 
 /// Why a replay stopped.
@@ -230,6 +231,32 @@ impl Replayer {
         let ids: HashMap<VariableId, u64> =
             self.replay.ids().map(|(id, variable)| (variable, id)).collect();
         words::explain(error, &|variable| ids.get(&variable).copied())
+    }
+
+    /// What an error of a removal says, with variables by their ids in the file.
+    pub fn explain_thinning(&self, error: &ThinningError) -> String {
+        let name = |variable: VariableId| self.name_of(variable);
+        match error {
+            ThinningError::Removal(error) => words::explain_removal(error, &name),
+            ThinningError::Smoother { variable, source } => {
+                format!("removing {} was refused: {}", name(*variable), self.explain(source))
+            }
+        }
+    }
+
+    /// Why a node had to stay, with variables by their ids in the file.
+    pub fn explain_needed(&self, needed: &Needed) -> String {
+        match needed {
+            Needed::Planned(error) => {
+                words::explain_removal(error, &|variable| self.name_of(variable))
+            }
+            Needed::Applied(error) => self.explain(error),
+        }
+    }
+
+    fn name_of(&self, variable: VariableId) -> String {
+        let id = self.replay.ids().find(|(_, known)| *known == variable);
+        id.map_or_else(|| variable.to_string(), |(id, _)| spell_id(id))
     }
 
     /// The file's name.

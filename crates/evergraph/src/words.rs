@@ -2,6 +2,7 @@
 
 use evergraph_formats::spell_id;
 use evergraph_model::VariableId;
+use evergraph_removal::RemovalError;
 use evergraph_solver::{Singular, SmootherError};
 
 /// How many variables a message lists.
@@ -54,6 +55,41 @@ pub(crate) fn explain(error: &SmootherError, id: &dyn Fn(VariableId) -> Option<u
             "the solution for {} is not finite: measurements or weights are too large for 64-bit numbers",
             name(*variable)
         ),
+        other => other.to_string(),
+    }
+}
+
+/// The error as a paragraph; `name` says what a variable is called in the file.
+pub(crate) fn explain_removal(error: &RemovalError, name: &dyn Fn(VariableId) -> String) -> String {
+    let list = |variables: &[VariableId]| {
+        variables.iter().map(|v| name(*v)).collect::<Vec<_>>().join(", ")
+    };
+    match error {
+        RemovalError::NoBlanket { variable } => format!(
+            "{} shares no factor with a variable that stays, so nothing can carry what is known of it",
+            name(*variable)
+        ),
+        RemovalError::LastPose { variable } => {
+            format!("{} is the last pose of the graph, which has to keep one", name(*variable))
+        }
+        RemovalError::Twice { variable } => format!("{} is named twice", name(*variable)),
+        RemovalError::NonFiniteEstimate { variable, numbers } => {
+            format!("the estimate of {} is not finite: {numbers:?}", name(*variable))
+        }
+        RemovalError::NonFiniteFactor { name: kind, variables, .. } => format!(
+            "the {kind} on {} has a residual or Jacobian that is not finite at the estimate; check its \
+             measurement and its weights",
+            list(variables)
+        ),
+        RemovalError::NotComposable { removed, name: kind, variables, .. } => format!(
+            "the {kind} on {} cannot be composed to remove {}: composition takes full relative poses of \
+             regular information only; use generic linear constraints (glc)",
+            list(variables),
+            name(*removed)
+        ),
+        RemovalError::NotRepresentable { removed, reason } => {
+            format!("the factor that would replace {} cannot be made: {reason}", list(removed))
+        }
         other => other.to_string(),
     }
 }

@@ -71,7 +71,7 @@ mod topology;
 pub use error::RemovalError;
 pub use evergraph_factors::RootShift;
 pub use options::{Guard, MutualInformation, Offset, Options, Rank, Recovery, Topology};
-pub use order::Order;
+pub use order::{Order, shuffled};
 pub use overlay::{Estimates, Source};
 pub use plan::{Plan, Removal};
 pub use price::Covariance;

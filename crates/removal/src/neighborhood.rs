@@ -93,6 +93,7 @@ impl Neighborhood {
             for &id in &blanket {
                 for (source, factor) in overlay.factors_of(id) {
                     let inside = factor.keys().first() == Some(&id)
+                        && !overlay.is_spared(source)
                         && factor.keys().iter().all(|&key| places.blanket(key).is_some());
                     if inside {
                         let read = neighborhood.read(source, factor, &places)?;

@@ -22,8 +22,9 @@ pub enum Order {
     MinLoss,
 }
 
-/// `nodes` in a random order.
-pub(crate) fn shuffled(nodes: &[VariableId], seed: u64) -> Vec<VariableId> {
+/// `nodes` in a random order, the same on every machine for one seed: that of [`Order::Random`], and
+/// its beginning a fair choice of some.
+pub fn shuffled(nodes: &[VariableId], seed: u64) -> Vec<VariableId> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut nodes = nodes.to_vec();
     for last in (1..nodes.len()).rev() {

@@ -59,10 +59,16 @@ pub(crate) struct Overlay<'a> {
     added: Vec<Option<Arc<dyn Factor>>>,
     added_on: BTreeMap<VariableId, Vec<usize>>,
     poses: usize,
+    /// Factors that stay while they are on kept variables only.
+    spared: &'a [FactorId],
 }
 
 impl<'a> Overlay<'a> {
-    pub(crate) fn new(graph: &'a Graph, estimates: &'a dyn Estimates) -> Self {
+    pub(crate) fn new(
+        graph: &'a Graph,
+        estimates: &'a dyn Estimates,
+        spared: &'a [FactorId],
+    ) -> Self {
         Self {
             graph,
             estimates,
@@ -74,7 +80,12 @@ impl<'a> Overlay<'a> {
                 .variable_indices()
                 .filter(|&v| crate::motion::pose_of(graph.kind_at(v)).is_some())
                 .count(),
+            spared,
         }
+    }
+
+    pub(crate) fn is_spared(&self, source: Source) -> bool {
+        matches!(source, Source::Graph(id) if self.spared.contains(&id))
     }
 
     /// How many poses are left.

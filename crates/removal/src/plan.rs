@@ -1,6 +1,6 @@
 //! Plans: a change, and what it costs.
 
-use evergraph_model::{Change, Graph, GraphError, VariableId};
+use evergraph_model::{Change, FactorId, Graph, GraphError, VariableId};
 
 use crate::error::RemovalError;
 use crate::many;
@@ -150,6 +150,7 @@ pub struct Removal<'a> {
     estimates: &'a dyn Estimates,
     options: Options,
     covariance: Option<&'a mut dyn Covariance>,
+    spared: &'a [FactorId],
 }
 
 impl std::fmt::Debug for Removal<'_> {
@@ -163,13 +164,22 @@ impl<'a> Removal<'a> {
     /// With default [`Options`] and without prices. `estimates` are those of a fully
     /// back-substituted solution.
     pub fn new(graph: &'a Graph, estimates: &'a dyn Estimates) -> Self {
-        Self { graph, estimates, options: Options::default(), covariance: None }
+        Self { graph, estimates, options: Options::default(), covariance: None, spared: &[] }
     }
 
     /// Sets the options.
     #[must_use]
     pub fn with_options(mut self, options: Options) -> Self {
         self.options = options;
+        self
+    }
+
+    /// Leaves some factors alone as long as all of their variables stay, such as the prior that holds
+    /// the gauge: absorbed, it would make what is relative around it absolute, and no longer be told
+    /// from what was measured. What is known stays the same either way.
+    #[must_use]
+    pub fn sparing(mut self, factors: &'a [FactorId]) -> Self {
+        self.spared = factors;
         self
     }
 
@@ -200,7 +210,7 @@ impl<'a> Removal<'a> {
     /// [`RemovalError`]; the plan stands or falls as a whole.
     pub fn plan_many(&mut self, nodes: &[VariableId], order: Order) -> Result<Plan, RemovalError> {
         check(&self.options)?;
-        let mut overlay = Overlay::new(self.graph, self.estimates);
+        let mut overlay = Overlay::new(self.graph, self.estimates, self.spared);
         let mut sorted = nodes.to_vec();
         sorted.sort_unstable();
         for &node in nodes {

@@ -275,6 +275,35 @@ fn groups_are_eliminated_exactly() {
     }
 }
 
+/// The neighbours of what holds the gauge stay relative, and nothing is lost by that.
+#[test]
+fn what_is_spared_stays() {
+    let (smoother, keys) = world(20, false, 3);
+    let (graph, values) = (smoother.graph(), smoother.estimates());
+    let prior = graph.factors().find(|(_, factor)| factor.keys().len() == 1).unwrap().0;
+    let nodes = [keys[1].id()];
+    let plan = |spared: &[FactorId]| {
+        let removal = Removal::new(graph, &values).with_options(Options::dense());
+        removal.sparing(spared).plan_many(&nodes, Order::Given).unwrap()
+    };
+    let (absorbed, spared) = (plan(&[]), plan(&[prior]));
+    assert!(absorbed.steps()[0].absorbed.contains(&Source::Graph(prior)));
+    assert!(!spared.steps()[0].absorbed.contains(&Source::Graph(prior)));
+    assert_eq!(absorbed.steps()[0].rank, spared.steps()[0].rank + 3);
+    let whole = scene(graph, &values);
+    let kept: Vec<VariableId> = graph.variables().filter(|id| *id != nodes[0]).collect();
+    let expected = marginal(&whole, &kept);
+    for plan in [absorbed, spared] {
+        let found = system(&reduced(&whole, &plan), &kept);
+        assert!((&found.0 - &expected.0).amax() < 1e-9 * expected.0.amax());
+        assert!((&found.1 - &expected.1).amax() < 1e-9 * expected.0.amax());
+    }
+    // On the node itself there is nothing to be left alone.
+    let removal = Removal::new(graph, &values).with_options(Options::dense());
+    let first = removal.sparing(&[prior]).plan(keys[0].id()).unwrap();
+    assert!(first.steps()[0].absorbed.contains(&Source::Graph(prior)));
+}
+
 #[test]
 fn many_prices_are_close_to_the_divergence_of_all_of_it() {
     let (smoother, keys) = world(40, false, 9);

@@ -96,6 +96,16 @@ impl Smoother {
         }
     }
 
+    /// `ln det JᵀJ = 2 Σ ln |R_jj|` at the linearization points; 0 for an empty graph. O(variables).
+    pub fn log_det_information(&self) -> f64 {
+        let log_det = |clique: u32| -> f64 {
+            let numeric = &self.tree.clique(clique).numeric;
+            (0..numeric.layout.frontal()).map(|j| numeric.row(j)[0].abs().ln()).sum()
+        };
+        // The sum of no terms is -0.
+        2.0 * self.tree.top_down().into_iter().map(log_det).sum::<f64>() + 0.0
+    }
+
     /// Smallest pivot over its diagonal entry of JᵀJ in the whole factorization; infinite for an
     /// empty graph.
     pub fn smallest_pivot_ratio(&self) -> f64 {

@@ -1,0 +1,234 @@
+//! `evergraph compare`.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use clap::Args;
+use evergraph::Replayer;
+use evergraph::evaluate::{Divergence, Solved};
+use evergraph::factors::Prior;
+use evergraph::formats::{GaugePrior, spell_id};
+use evergraph::model::{Change, Graph, Noise, Pose2, Pose3, Value, VariableId};
+use evergraph::solver::{BatchReport, Relinearization};
+use serde_json::{Map, json};
+
+use crate::error::Error;
+use crate::files;
+use crate::options::{Common, Reading, Solving, StartFrom};
+use crate::output::Output;
+use crate::reduction::{self, Reduction, Size, gauge_factors, incomparable, to_the_end};
+use crate::replay::{unsolvable, warn_of_landmarks};
+use crate::report::{self, SCHEMA};
+use crate::table::{Rows, milliseconds};
+
+const EXAMPLES: &str = "\
+Examples:
+  evergraph compare manhattan.g2o half.g2o
+  evergraph compare manhattan.g2o pruned-by-others.g2o --report out.json
+
+FULL is optimized from its vertices (or odometry), REDUCED from that optimum; the vertices of REDUCED
+do not matter. Variables are the same where their ids are. Where REDUCED has its gauge prior on another
+pose, that of FULL moves there.";
+
+/// Say what a reduced graph, whoever made it, has lost of the full one.
+#[derive(Args, Debug)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct Arguments {
+    /// The full graph: a g2o, TORO, iSAM or PyFactorGraph file
+    full: PathBuf,
+    /// The reduced graph, of variables that the full one has
+    reduced: PathBuf,
+    #[command(flatten)]
+    solving: Solving,
+    #[command(flatten)]
+    reading: Reading,
+    #[command(flatten)]
+    pub(crate) common: Common,
+}
+
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
+    let begun = Instant::now();
+    let common = &arguments.common;
+    let output = Output::new(common);
+    if let Some(path) = &common.report {
+        files::check_writable(path)?;
+    }
+    let settings = arguments.solving.settings(Relinearization::NEVER, common.threads());
+    let options = arguments.solving.replay_options(StartFrom::File);
+    let prior = arguments.solving.prior.0;
+
+    let document = arguments.reading.read(&arguments.full, common)?;
+    let mut full = Replayer::new(&document, &options, settings)?;
+    solve(&mut full).map_err(|error| error.with_gauge(prior, &document))?;
+    let document = arguments.reading.read(&arguments.reduced, common)?;
+    let document = document.with_vertices(optimum_of(&full, &document)?)?;
+    let mut reduced = Replayer::new(&document, &options, settings)?;
+    let batch = solve(&mut reduced).map_err(|error| error.with_gauge(prior, &document))?;
+    let priors = anchor_alike(&mut full, &reduced)?;
+
+    let kept = pairs(&full, &reduced)?;
+    let (was, is) = (full.smoother().estimates(), reduced.smoother().estimates());
+    let divergence = Divergence::of(
+        Solved { graph: full.graph(), estimates: &was },
+        Solved { graph: reduced.graph(), estimates: &is },
+        &kept,
+        &settings,
+    );
+    let reduction = Reduction {
+        before: Size::of(full.smoother(), &priors),
+        after: Size::of(reduced.smoother(), &gauge_factors(&reduced)),
+        divergence: divergence.map_err(|error| match error {
+            evergraph::evaluate::DivergenceError::Full(_) => incomparable(&full, error),
+            _ => incomparable(&reduced, error),
+        })?,
+    };
+
+    let mut report = Map::new();
+    let names = [&arguments.full, &arguments.reduced].map(|path| report::file_name(path));
+    let mut settings_json = arguments.solving.json(StartFrom::File, &settings)?;
+    settings_json["reading"] = arguments.reading.json();
+    for (field, value) in [
+        ("schema", json!(SCHEMA)),
+        ("command", json!("compare")),
+        ("dataset", json!(names[0])),
+        ("reduced", json!(names[1])),
+        ("settings", settings_json),
+        ("removed", json!(reduction.before.variables - reduction.after.variables)),
+    ] {
+        report.insert(field.into(), value);
+    }
+    reduction.add_to(&mut report);
+    report.insert("optimization".into(), serde_json::to_value(batch)?);
+    report.insert("total_s".into(), json!(begun.elapsed().as_secs_f64()));
+    report::save(common.report.as_deref(), &report)?;
+    warn_of_landmarks(&full, output);
+    warn_of_landmarks(&reduced, output);
+
+    let mut rows = Rows::new("full graph", &names[0]);
+    rows.add("reduced graph", &names[1]);
+    reduction.show(&mut rows);
+    rows.add("reduced graph, solved", reduction::ended(&batch));
+    rows.add("total time", milliseconds(1e3 * begun.elapsed().as_secs_f64()));
+    output.result(&rows)
+}
+
+/// Everything at once, to the optimum.
+fn solve(replayer: &mut Replayer) -> Result<BatchReport, Error> {
+    replayer.everything()?;
+    let batch = replayer.smoother_mut().optimize(&to_the_end());
+    batch.map_err(|source| unsolvable(replayer, source))
+}
+
+/// Where the full graph's optimum has the variables of the reduced document.
+fn optimum_of(
+    full: &Replayer,
+    reduced: &evergraph::formats::Document,
+) -> Result<Vec<(u64, Value)>, Error> {
+    let estimates = full.smoother().estimates();
+    let ids = reduced.ids().into_iter();
+    ids.map(|(id, kind)| {
+        let replay = full.replay();
+        let (same, other) = match kind.is_pose() {
+            true => (replay.pose(id), replay.landmark(id)),
+            false => (replay.landmark(id), replay.pose(id)),
+        };
+        let value = same.and_then(|variable| estimates.value(variable).ok());
+        let problem = match other {
+            None => "is not in the full graph's map",
+            Some(_) => "is a pose in one and a landmark in the other",
+        };
+        let value = value.ok_or_else(|| Error::NotReduced {
+            full: full.name().into(),
+            reduced: reduced.name().into(),
+            problem: format!("{} {problem}", spell_id(id)),
+        })?;
+        Ok((id, value.to_value()))
+    })
+    .collect()
+}
+
+/// The variables that both have, by id.
+fn pairs(full: &Replayer, reduced: &Replayer) -> Result<Vec<(VariableId, VariableId)>, Error> {
+    let pair = |(id, variable): (u64, VariableId)| {
+        let is_pose = reduced.replay().pose(id) == Some(variable);
+        let replay = full.replay();
+        let same = if is_pose { replay.pose(id) } else { replay.landmark(id) };
+        same.map(|same| (same, variable)).ok_or_else(|| Error::NotReduced {
+            full: full.name().into(),
+            reduced: reduced.name().into(),
+            problem: format!("{} is not in the full graph's map", spell_id(id)),
+        })
+    };
+    reduced.replay().ids().map(pair).collect()
+}
+
+/// Puts the gauge priors of the full graph where the reduced graph has its own, and says which they
+/// are. At the optimum of relative measurements that moves nothing.
+fn anchor_alike(
+    full: &mut Replayer,
+    reduced: &Replayer,
+) -> Result<Vec<evergraph::model::FactorId>, Error> {
+    let (is, should) = (full.replay().gauge_priors(), reduced.replay().gauge_priors());
+    let place = |prior: &GaugePrior| (prior.id, prior.directions);
+    let stays = |prior: &GaugePrior| is.iter().any(|it| place(it) == place(prior));
+    // A graph that came from another may hold what the prior says in its own factors.
+    if should.iter().all(stays) {
+        return Ok(gauge_factors(full));
+    }
+    let not_reduced = |problem: String| Error::NotReduced {
+        full: full.name().into(),
+        reduced: reduced.name().into(),
+        problem,
+    };
+    if should.len() != is.len() {
+        return Err(not_reduced(format!(
+            "it falls into {} parts whose place nothing tells, the full graph into {}, and what was \
+             known between them is lost",
+            should.len(),
+            is.len()
+        )));
+    }
+    let mut change = full.smoother().change();
+    for prior in is {
+        change.drop_factor(prior.factor);
+    }
+    let mut factors = Vec::new();
+    for prior in should {
+        let variable = full.replay().pose(prior.id);
+        let moved = variable.and_then(|variable| {
+            let value = full.smoother().estimate_value(variable).ok()?;
+            add_prior(full.graph(), &mut change, variable, &value, prior)
+        });
+        factors.push(moved.ok_or_else(|| {
+            let id = spell_id(prior.id);
+            not_reduced(format!(
+                "its gauge is held at pose {id}, in {} directions, where that of the full graph is not",
+                prior.directions
+            ))
+        })?);
+    }
+    let applied = full.smoother_mut().apply(change).map(drop);
+    let optimized = applied.and_then(|()| full.smoother_mut().optimize(&to_the_end()).map(drop));
+    optimized.map_err(|source| unsolvable(full, source))?;
+    Ok(factors)
+}
+
+/// A prior on all of a pose, at `value`.
+fn add_prior(
+    graph: &Graph,
+    change: &mut Change,
+    variable: VariableId,
+    value: &Value,
+    like: &GaugePrior,
+) -> Option<evergraph::model::FactorId> {
+    if like.directions != value.dim() {
+        return None;
+    }
+    let noise = Noise::isotropic(value.dim(), like.sigma).ok()?;
+    if let Some(pose) = value.get::<Pose2>() {
+        let key = graph.key::<Pose2>(variable).ok()?;
+        return Some(change.add_factor(Prior::new(key, pose, noise).ok()?));
+    }
+    let key = graph.key::<Pose3>(variable).ok()?;
+    Some(change.add_factor(Prior::new(key, value.get::<Pose3>()?, noise).ok()?))
+}

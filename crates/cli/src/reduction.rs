@@ -1,0 +1,141 @@
+//! What `remove` and `compare` say of two graphs.
+
+use evergraph::evaluate::{Divergence, DivergenceError, information_nonzeros};
+use evergraph::model::{FactorId, VariableId};
+use evergraph::solver::{BatchReport, BatchSettings, Status as BatchStatus};
+use evergraph::{Replayer, Smoother};
+use serde_json::{Map, Value, json};
+
+use crate::error::Error;
+use crate::report;
+use crate::table::{Rows, number};
+
+/// What the figures are, printed beside them.
+pub(crate) const CONVENTION: &str = "nats; 1/2 (tr(L P) - n - ln det L + ln det L_true) and 1/2 d^T L d over the n kept dimensions: P, \
+     L_true of the full graph's marginal, L of the reduced graph, both at the full graph's optimum, d \
+     from there to the reduced graph's";
+
+/// How large a graph is.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Size {
+    pub variables: usize,
+    /// Gauge priors left out.
+    pub factors: usize,
+    /// Of the upper triangle of the information matrix, by blocks.
+    pub nonzeros: usize,
+    /// Of R.
+    pub factor_nonzeros: usize,
+}
+
+impl Size {
+    pub(crate) fn of(smoother: &Smoother, priors: &[FactorId]) -> Self {
+        let graph = smoother.graph();
+        let priors = priors.iter().filter(|id| graph.check_factor(**id).is_ok()).count();
+        Self {
+            variables: graph.variable_count(),
+            factors: graph.factor_count() - priors,
+            nonzeros: information_nonzeros(graph),
+            factor_nonzeros: smoother.size().nonzeros,
+        }
+    }
+}
+
+/// The factors that hold the gauge.
+pub(crate) fn gauge_factors(replayer: &Replayer) -> Vec<FactorId> {
+    replayer.replay().gauge_priors().iter().map(|prior| prior.factor).collect()
+}
+
+/// Two graphs and what is between them.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Reduction {
+    pub before: Size,
+    pub after: Size,
+    pub divergence: Divergence,
+}
+
+impl Reduction {
+    /// Adds the fields that both subcommands have.
+    pub(crate) fn add_to(&self, report: &mut Map<String, Value>) {
+        let Self { before, after, divergence } = self;
+        for (field, pair) in [
+            ("variables", [before.variables, after.variables]),
+            ("factors", [before.factors, after.factors]),
+            ("nnz", [before.nonzeros, after.nonzeros]),
+            ("factor_nnz", [before.factor_nonzeros, after.factor_nonzeros]),
+        ] {
+            report.insert(format!("{field}_before"), json!(pair[0]));
+            report.insert(format!("{field}_after"), json!(pair[1]));
+        }
+        for (field, value) in [
+            ("convention", json!(CONVENTION)),
+            ("degrees_of_freedom", json!(divergence.degrees_of_freedom)),
+            ("kld_covariance", json!(divergence.covariance)),
+            ("kld_covariance_per_dof", json!(divergence.per_degree_of_freedom())),
+            ("kld_mean", json!(divergence.mean)),
+            ("kld_total", json!(divergence.total)),
+            ("log_det_ratio", json!(divergence.log_det_ratio)),
+            ("mean_shift_m", json!(divergence.mean_shift_m)),
+            ("rms_shift_m", json!(divergence.rms_shift_m)),
+            ("max_shift_m", json!(divergence.max_shift_m)),
+        ] {
+            report.insert(field.into(), value);
+        }
+    }
+
+    /// Adds the rows that both subcommands show: sizes, then figures.
+    pub(crate) fn show(&self, rows: &mut Rows) {
+        let Self { before, after, divergence } = self;
+        let change = |from: usize, to: usize| format!("{from} to {to}");
+        rows.add("variables", change(before.variables, after.variables));
+        rows.add("factors", change(before.factors, after.factors));
+        rows.add("information", format!("{} scalars", change(before.nonzeros, after.nonzeros)));
+        rows.add("factor (R)", change(before.factor_nonzeros, after.factor_nonzeros) + " scalars");
+        let Divergence { covariance, mean, total, log_det_ratio, .. } = *divergence;
+        let n = divergence.degrees_of_freedom;
+        let each = number(divergence.per_degree_of_freedom());
+        rows.add("KLD, covariance", format!("{} nats, {each} for each of {n}", number(covariance)));
+        rows.add("KLD, mean", format!("{} nats", number(mean)));
+        rows.add("KLD", format!("{} nats", number(total)));
+        rows.add("ln det ratio", number(log_det_ratio));
+        let Divergence { mean_shift_m, rms_shift_m, max_shift_m, .. } = *divergence;
+        let [mean, rms, max] = [mean_shift_m, rms_shift_m, max_shift_m].map(number);
+        rows.add("shift [m]", format!("mean {mean}, rms {rms}, max {max}"));
+        rows.add("convention", "KLD of the reduced graph from the full graph's marginal on what");
+        rows.add("", "is kept: 1/2 (tr(L P) - n - ln det L + ln det L_true), 1/2 d^T L d");
+    }
+}
+
+/// An error of the metrics in the ids of the file.
+pub(crate) fn incomparable(replayer: &Replayer, error: DivergenceError) -> Error {
+    let file = replayer.name().to_string();
+    let message = match &error {
+        DivergenceError::Full(source) => {
+            format!("the full graph has no covariance: {}", replayer.explain(source))
+        }
+        DivergenceError::Reduced(source) => format!(
+            "the reduced graph does not determine what the full graph does: {}",
+            replayer.explain(source)
+        ),
+        other => other.to_string(),
+    };
+    Error::Incomparable { file, message, source: Box::new(error) }
+}
+
+/// To where rounding ends, so that what moved is told from where an optimization stopped: the usual
+/// 1e-11 of the error can be 1e-4 m of something that is known to a metre.
+pub(crate) fn to_the_end() -> BatchSettings {
+    BatchSettings { relative_decrease: 0.0, ..BatchSettings::default() }
+}
+
+/// How an optimization ended, in words.
+pub(crate) fn ended(batch: &BatchReport) -> String {
+    match batch.status {
+        BatchStatus::Converged => format!("converged after {} iterations", batch.iterations),
+        BatchStatus::NotConverged(reason) => format!("not converged ({})", report::why(reason)),
+    }
+}
+
+/// The same variables in both graphs.
+pub(crate) fn same(smoother: &Smoother) -> Vec<(VariableId, VariableId)> {
+    smoother.graph().variables().map(|id| (id, id)).collect()
+}

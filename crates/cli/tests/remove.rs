@@ -1,0 +1,338 @@
+//! `evergraph remove` and `evergraph compare`.
+
+mod common;
+
+use std::path::PathBuf;
+
+use common::{Folder, SQUARE, TWO_PARTS, number, sample};
+use serde_json::Value;
+
+/// Intel, where the data is at hand.
+fn intel() -> Option<String> {
+    let folder = std::env::var_os("EVERGRAPH_DATA")?;
+    Some(PathBuf::from(folder).join("pose2d/intel.g2o").display().to_string())
+}
+
+/// Every field that a report has to have, and what any removal at the optimum obeys.
+#[track_caller]
+fn check(report: &Value) {
+    for field in [
+        "removed",
+        "variables_before",
+        "variables_after",
+        "factors_before",
+        "factors_after",
+        "nnz_before",
+        "nnz_after",
+        "factor_nnz_before",
+        "factor_nnz_after",
+        "kld_covariance",
+        "kld_covariance_per_dof",
+        "kld_mean",
+        "kld_total",
+        "log_det_ratio",
+        "mean_shift_m",
+        "rms_shift_m",
+        "max_shift_m",
+        "degrees_of_freedom",
+    ] {
+        assert!(number(report, field).is_finite());
+    }
+    let [before, after, removed] =
+        ["variables_before", "variables_after", "removed"].map(|field| number(report, field));
+    assert_eq!(before - after, removed);
+    assert!(number(report, "kld_covariance") > -1e-8, "{report}");
+    assert!(number(report, "kld_mean") >= 0.0);
+    assert!(number(report, "mean_shift_m") <= number(report, "rms_shift_m"));
+    assert!(number(report, "rms_shift_m") <= number(report, "max_shift_m"));
+}
+
+/// The times of each node, too.
+#[track_caller]
+fn check_times(report: &Value) {
+    for field in ["time_per_node_ms", "plan_ms", "apply_ms"] {
+        let times = &report[field];
+        let [mean, p50, p99, max] = ["mean", "p50", "p99", "max"].map(|it| number(times, it));
+        assert!(0.0 < p50 && p50 <= p99 && p99 <= max && 0.0 < mean && mean <= max, "{times}");
+    }
+}
+
+#[test]
+fn a_tree_of_half_of_intel() {
+    let Some(file) = intel() else { return };
+    let folder = Folder::new();
+    let ran = folder
+        .run(&format!("remove {file} --fraction 0.5 --seed 1 --output half.g2o --report out.json"))
+        .done();
+    for part in ["864 nodes", "kept for rank", "sum of prices", "KLD, covariance", "shift [m]"] {
+        assert!(ran.out.contains(part), "{}", ran.out);
+    }
+    let report = folder.json("out.json");
+    check(&report);
+    check_times(&report);
+    assert_eq!((&report["removed"], &report["variables_after"]), (&864.into(), &864.into()));
+    assert_eq!(report["kept_for_rank"], Value::Array(Vec::new()));
+    assert_eq!(report["removed_ids"].as_array().map(Vec::len), Some(864));
+    let kld = number(&report, "kld_covariance");
+    assert!(kld > 1.0 && number(&report, "price_sum") > 0.3 * kld, "{report}");
+    assert!(number(&report, "price_sum") < 3.0 * kld, "{report}");
+    assert!(number(&report, "max_shift_m") < 1e-5, "{report}");
+
+    // Read again, the two files differ by the same.
+    folder.run(&format!("compare {file} half.g2o --report again.json")).done();
+    let again = folder.json("again.json");
+    check(&again);
+    assert!((number(&again, "kld_covariance") - kld).abs() < 1e-4 * kld, "{again}");
+    assert!(number(&again, "max_shift_m") < 1e-5);
+    assert_eq!(again["factors_after"], report["factors_after"]);
+}
+
+#[test]
+fn dense_removal_at_the_optimum_loses_nothing() {
+    let Some(file) = intel() else { return };
+    let folder = Folder::new();
+    let line = "--fraction 0.1 --topology dense --report out.json";
+    folder.run(&format!("remove {file} {line}")).done();
+    let report = folder.json("out.json");
+    check(&report);
+    assert!(number(&report, "kld_covariance").abs() < 1e-6, "{report}");
+    assert!(number(&report, "price_sum").abs() < 1e-6, "{report}");
+    assert!(number(&report, "max_shift_m") < 1e-5, "{report}");
+}
+
+#[test]
+fn modes_orders_and_choices() {
+    let folder = Folder::new();
+    let file = sample("manhattan-landmarks.g2o");
+    let mut loss = Vec::new();
+    for options in [
+        "--fraction 0.05 --order min-loss",
+        "--fraction 0.05 --order min-degree",
+        "--fraction 0.05",
+        "--fraction 0.05 --recovery nonlinear",
+        "--fraction 0.05 --mode isam",
+        "--fraction 0.05 --offset paper",
+        "--fraction 0.05 --no-price --relinearize never",
+    ] {
+        folder.run(&format!("remove {file} {options} --report out.json")).done();
+        let report = folder.json("out.json");
+        check(&report);
+        loss.push((options, number(&report, "kld_covariance"), number(&report, "max_shift_m")));
+        assert_eq!(report["price_sum"].is_null(), options.contains("no-price"), "{report}");
+    }
+    // The same nodes are chosen each time; the best order costs no more than the others.
+    assert!(loss[0].1 <= loss[1].1 + 1e-9 && loss[0].1 <= loss[2].1 + 1e-9, "{loss:?}");
+    for (options, _, shift) in &loss {
+        let moves = options.contains("isam") || options.contains("paper");
+        assert_eq!(*shift > 1e-5, moves, "{loss:?}");
+    }
+}
+
+#[test]
+fn poses_are_kept_one_in_k() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    folder.run("remove square.g2o --keep-every 2 --report out.json --output out.g2o").done();
+    let report = folder.json("out.json");
+    check(&report);
+    let mut ids: Vec<u64> = report["removed_ids"]
+        .as_array()
+        .map(|ids| ids.iter().filter_map(Value::as_u64).collect())
+        .unwrap_or_default();
+    ids.sort_unstable();
+    assert_eq!(ids, [1, 3]);
+    let text = folder.read("out.g2o");
+    assert!(text.contains("VERTEX_SE2 0 ") && text.contains("VERTEX_SE2 2 "), "{text}");
+    assert!(!text.contains("VERTEX_SE2 1 ") && !text.contains("VERTEX_SE2 3 "), "{text}");
+}
+
+#[test]
+fn a_list_is_followed_in_its_order() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    folder.write("list.txt", "# nodes\n3\n\n1\r\n");
+    folder.run("remove square.g2o --nodes list.txt --report out.json").done();
+    let report = folder.json("out.json");
+    assert_eq!(report["removed_ids"], Value::from(vec![3, 1]));
+    assert_eq!(report["settings"]["order"], "given");
+}
+
+#[test]
+fn a_list_that_makes_no_sense_is_told_by_line() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    for (list, parts) in [
+        ("1\nthree\n", ["list.txt:2", "`three` is not an id"]),
+        ("1\n2 3\n", ["list.txt:2", "`2 3` is not an id"]),
+        ("1\n\n-2\n", ["list.txt:3", "`-2` is not an id"]),
+        ("1\nnan\n", ["list.txt:2", "`nan` is not an id"]),
+        ("1\n77\n", ["list.txt:2", "77 is no variable of square.g2o"]),
+        ("1\n2\n1\n", ["list.txt:3", "1 was given before, in line 1"]),
+        ("0\n", ["list.txt:1", "holds the gauge"]),
+        ("# none\n", ["list.txt:1", "no id"]),
+        ("1\n\u{0}\n", ["list.txt:2", "is not an id"]),
+    ] {
+        folder.write("list.txt", list);
+        folder.run("remove square.g2o --nodes list.txt --output out.g2o").failed(1, &parts);
+    }
+    folder
+        .run("remove square.g2o --nodes nowhere.txt")
+        .failed(1, &["nowhere.txt", "cannot be read"]);
+    assert_eq!(folder.list(), ["list.txt", "square.g2o"]);
+}
+
+#[test]
+fn shares_that_are_none_are_usage_errors() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    for options in [
+        "--fraction 0",
+        "--fraction -0.5",
+        "--fraction 1.5",
+        "--fraction nan",
+        "--fraction inf",
+        "--fraction half",
+        "--keep-every 0",
+        "--keep-every 2 --fraction 0.5",
+        "",
+        "--fraction 0.5 --topology ring",
+        "--fraction 0.5 --seed -1",
+    ] {
+        let ran = folder.run(&format!("remove square.g2o {options}"));
+        assert_eq!(ran.code, Some(2), "{options}: {}{}", ran.out, ran.err);
+    }
+    folder
+        .run("remove square.g2o --fraction 0.01")
+        .failed(1, &["square.g2o", "nothing is to be removed"]);
+}
+
+#[test]
+fn bad_files_are_refused_as_elsewhere() {
+    let folder = Folder::new();
+    let cut = &SQUARE[..SQUARE.len() - 12];
+    let bad = format!("{SQUARE}EDGE_SE2 0 2 nan 0 0 1 0 0 1 0 1\n");
+    let huge = format!("{SQUARE}EDGE_SE2 0 2 1e200 0 0 1e200 0 0 1e200 0 1e200\n");
+    for (text, parts) in [
+        (cut, &["bad.g2o:8", "cut off"][..]),
+        (&bad, &["bad.g2o:9", "not finite"]),
+        (&huge, &["weights are too large"]),
+        ("", &["no vertex or edge line"]),
+    ] {
+        folder.write("bad.g2o", text);
+        folder.run("remove bad.g2o --fraction 0.5 --output out.g2o").failed(1, parts);
+        folder.run("compare bad.g2o bad.g2o").failed(1, parts);
+    }
+    assert_eq!(folder.list(), ["bad.g2o"]);
+}
+
+#[test]
+fn parts_that_nothing_ties_together() {
+    let folder = Folder::with("two.g2o", TWO_PARTS);
+    folder.run("remove two.g2o --fraction 1 --report out.json --output out.g2o").done();
+    let report = folder.json("out.json");
+    check(&report);
+    // The first pose of each holds it.
+    assert_eq!((&report["removed"], &report["variables_after"]), (&3.into(), &2.into()));
+    folder.run("compare two.g2o out.g2o --report again.json").done();
+    assert!(number(&folder.json("again.json"), "kld_covariance").abs() < 1e-9);
+    folder
+        .run("remove two.g2o --fraction 0.5 --prior none")
+        .failed(1, &["component of pose 10", "--prior none"]);
+}
+
+#[test]
+fn the_last_pose_stays() {
+    // Priors hold it, so that there is no gauge prior and every pose could go.
+    let text = "\
+VERTEX_SE2 0 0 0 0
+VERTEX_SE2 1 1 0 0
+VERTEX_XY 7 2 1
+EDGE_SE2 0 1 1 0 0 100 0 0 100 0 400
+EDGE_PRIOR_SE2 0 0 0 0 100 0 0 100 0 400
+EDGE_SE2_XY 0 7 2 1 10 0 10
+EDGE_SE2_XY 1 7 1 1 10 0 10
+";
+    let folder = Folder::with("line.g2o", text);
+    folder.write("list.txt", "1\n0\n");
+    let ran = folder.run("remove line.g2o --nodes list.txt --report out.json").done();
+    assert!(ran.out.contains("kept for rank"), "{}", ran.out);
+    let report = folder.json("out.json");
+    check(&report);
+    let kept = &report["kept_for_rank"][0];
+    assert_eq!((&kept["variable"], &kept["reason"]), (&0.into(), &"last_pose".into()), "{report}");
+    assert!(kept["message"].as_str().is_some_and(|it| it.contains("last pose")));
+    assert_eq!(report["removed"], 1);
+}
+
+#[test]
+fn what_a_format_cannot_hold_is_told() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    for name in ["out.graph", "out.txt", "out.pyfg"] {
+        folder
+            .run(&format!("remove square.g2o --keep-every 2 --output {name}"))
+            .failed(1, &["files cannot hold", "write another format"]);
+    }
+    folder.run("remove square.g2o --keep-every 2 --output out.xyz").failed(1, &["extension"]);
+    assert_eq!(folder.list(), ["square.g2o"]);
+    // Ordinary edges fit into any.
+    folder.run("remove square.g2o --keep-every 3 --recovery nonlinear --output out.graph").done();
+    folder.run("compare square.g2o out.graph --report out.json").done();
+    check(&folder.json("out.json"));
+}
+
+#[test]
+fn composition_says_what_it_cannot_do() {
+    let folder = Folder::new();
+    let file = sample("manhattan-landmarks.g2o");
+    folder
+        .run(&format!("remove {file} --fraction 0.05 --recovery composition"))
+        .failed(1, &["cannot be composed", "glc"]);
+}
+
+#[test]
+fn graphs_that_do_not_belong_together() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    folder.write(
+        "other.g2o",
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 9 1 0 0\nEDGE_SE2 0 9 1 0 0 1 0 0 1 0 1\n",
+    );
+    folder
+        .run("compare square.g2o other.g2o")
+        .failed(1, &["other.g2o", "no reduced graph of square.g2o", "9 is not"]);
+    // Links were dropped: what was known between the parts is gone.
+    let broken: String = SQUARE
+        .lines()
+        .filter(|line| !line.starts_with("EDGE_SE2 1") && !line.starts_with("EDGE_SE2 3"))
+        .map(|line| format!("{line}\n"))
+        .collect();
+    folder.write("broken.g2o", &broken);
+    folder.run("compare square.g2o broken.g2o").failed(1, &["broken.g2o", "2 parts"]);
+    let landmark = "VERTEX_SE2 0 0 0 0\nVERTEX_XY 1 1 0\nEDGE_SE2_XY 0 1 1 0 1 0 1\n";
+    folder.write("kinds.g2o", landmark);
+    folder.run("compare square.g2o kinds.g2o").failed(1, &["kinds.g2o", "a landmark in the other"]);
+}
+
+/// Another program may have removed the pose that we hold.
+#[test]
+fn the_anchor_moves_with_the_reduced_graph() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    // The chain 1 to 3 of it: what 0 knew is lost, and nothing else.
+    let of_0 = |line: &&str| line.starts_with("VERTEX_SE2 0") || line.starts_with("EDGE_SE2 0");
+    let rest: String = SQUARE
+        .lines()
+        .filter(|line| !of_0(line) && !line.starts_with("EDGE_SE2 3 0"))
+        .map(|line| format!("{line}\n"))
+        .collect();
+    folder.write("rest.g2o", &rest);
+    folder.run("compare square.g2o rest.g2o --report out.json").done();
+    let report = folder.json("out.json");
+    check(&report);
+    assert!(number(&report, "kld_covariance") > 1e-3, "{report}");
+    assert!(number(&report, "kld_covariance") < 10.0, "{report}");
+    assert_eq!(report["removed"], 1);
+}
+
+#[test]
+fn removal_may_begin_before_the_optimum() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    folder.run("remove square.g2o --keep-every 2 --no-optimize --report out.json").done();
+    let report = folder.json("out.json");
+    check(&report);
+    assert_eq!(report["settings"]["optimized_first"], false);
+}

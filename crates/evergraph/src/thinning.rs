@@ -1,0 +1,341 @@
+//! Nodes taken out of a live smoother, one by one: planned, then applied, as a robot does it between
+//! updates.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+
+use evergraph_model::{FactorId, Graph, GraphError, Value, VariableId};
+use evergraph_removal::{Fallback, Options, Order, Plan, Removal, RemovalError, shuffled};
+use evergraph_solver::{Covariances, Smoother, SmootherError};
+use thiserror::Error;
+
+/// How nodes are removed one by one.
+#[derive(Clone, Copy, Debug)]
+pub struct Rules<'a> {
+    /// Who goes first.
+    pub order: Order,
+    /// What comes in the place of a node.
+    pub options: Options,
+    /// Factors that are left alone while their variables stay ([`Removal::sparing`]), such as gauge
+    /// priors.
+    pub spared: &'a [FactorId],
+    /// Whether each removal is priced.
+    pub prices: bool,
+}
+
+/// Why nodes could not be removed; the smoother is as it was.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum ThinningError {
+    /// The removal makes no sense for this graph.
+    #[error(transparent)]
+    Removal(#[from] RemovalError),
+    /// The smoother refused one, and not because a direction would have become free.
+    #[error("removing {variable} was refused: {source}")]
+    Smoother {
+        /// The node.
+        variable: VariableId,
+        /// Why; boxed, so that results are small where all goes well.
+        source: Box<SmootherError>,
+    },
+}
+
+/// A node that is gone.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Thinned {
+    /// The node.
+    pub variable: VariableId,
+    /// Size of its Markov blanket.
+    pub blanket: usize,
+    /// Time to plan, estimates of the blanket included, without the price.
+    pub plan: Duration,
+    /// Time to apply.
+    pub apply: Duration,
+    /// What it cost, in nats, of the map as the removals before left it; `None` when that was not asked
+    /// for, or rounding left no covariance to price it by.
+    pub price: Option<f64>,
+    /// See [`Plan::constant`].
+    pub constant: f64,
+    /// See [`Plan::degrees_of_freedom`].
+    pub degrees_of_freedom: i64,
+    /// Why it did not take the form that was asked for.
+    pub fallback: Option<Fallback>,
+}
+
+/// Why a node had to stay.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum Needed {
+    /// There is nothing that could carry what is known of it, or of where the map is.
+    #[error(transparent)]
+    Planned(RemovalError),
+    /// Without it a direction would be free.
+    #[error(transparent)]
+    Applied(SmootherError),
+}
+
+/// What became of the nodes.
+#[derive(Debug, Default)]
+pub struct Thinning {
+    /// Those that are gone, in order.
+    pub removed: Vec<Thinned>,
+    /// Those that had to stay, in the order in which that was found.
+    pub kept: Vec<(VariableId, Needed)>,
+}
+
+impl Thinning {
+    /// Removes `nodes` one by one, in an order of which the dynamic ones look at the graph as it then
+    /// is: after each removal the nodes whose blanket has changed are counted, or priced, again. A
+    /// node that is needed stays and is listed. `done` is called after each node.
+    ///
+    /// Prices are exact where linearization points are the estimates, as after
+    /// [`Smoother::optimize`]. With [`Rules::prices`] each node costs one more plan, with its joint covariance;
+    /// [`Order::MinLoss`] costs one for every node near a removed one.
+    ///
+    /// # Errors
+    /// [`ThinningError`]; the smoother is then as it was before the first.
+    pub fn run(
+        smoother: &mut Smoother,
+        nodes: &[VariableId],
+        rules: &Rules<'_>,
+        mut done: impl FnMut(),
+    ) -> Result<Self, ThinningError> {
+        check(smoother.graph(), nodes)?;
+        let before = smoother.clone();
+        let mut thinning = Self::default();
+        let result = Queue::new(smoother, nodes, rules).and_then(|mut queue| {
+            while let Some(node) = queue.pop() {
+                let touched = thinning.take(smoother, node, rules)?;
+                queue.look_again(smoother, &touched, rules)?;
+                done();
+            }
+            Ok(())
+        });
+        match result {
+            Ok(()) => Ok(thinning),
+            Err(error) => {
+                *smoother = before;
+                Err(error)
+            }
+        }
+    }
+
+    /// The sum of the prices; `None` unless all are known.
+    pub fn price(&self) -> Option<f64> {
+        // The sum of no terms is -0.
+        self.removed.iter().map(|it| it.price).sum::<Option<f64>>().map(|sum| sum + 0.0)
+    }
+
+    /// Removes a node, or notes why it stays. Says whose neighborhood has changed.
+    fn take(
+        &mut self,
+        smoother: &mut Smoother,
+        node: VariableId,
+        rules: &Rules<'_>,
+    ) -> Result<Vec<VariableId>, ThinningError> {
+        let price = match rules.prices {
+            true => priced(smoother, &mut smoother.covariances(), node, rules)?,
+            false => None,
+        };
+        let begun = Instant::now();
+        let planned = plan(smoother, node, rules);
+        let planning = begun.elapsed();
+        let plan = match planned {
+            Ok(plan) => plan,
+            Err(error) if is_needed(&error) => {
+                self.kept.push((node, Needed::Planned(error)));
+                return Ok(Vec::new());
+            }
+            Err(error) => return Err(error.into()),
+        };
+        let step = plan.steps().first();
+        let touched = step.map_or_else(Vec::new, |step| step.blanket.clone());
+        let thinned = Thinned {
+            variable: node,
+            blanket: touched.len(),
+            plan: planning,
+            apply: Duration::ZERO,
+            price,
+            constant: plan.constant(),
+            degrees_of_freedom: plan.degrees_of_freedom(),
+            fallback: step.and_then(|step| step.fallback),
+        };
+        let begun = Instant::now();
+        match smoother.apply(plan.into_change()) {
+            Ok(_) => {
+                self.removed.push(Thinned { apply: begun.elapsed(), ..thinned });
+                Ok(touched)
+            }
+            Err(error @ SmootherError::Singular(_)) => {
+                self.kept.push((node, Needed::Applied(error)));
+                Ok(Vec::new())
+            }
+            Err(source) => {
+                Err(ThinningError::Smoother { variable: node, source: Box::new(source) })
+            }
+        }
+    }
+}
+
+fn check(graph: &Graph, nodes: &[VariableId]) -> Result<(), RemovalError> {
+    let mut seen = BTreeSet::new();
+    for &node in nodes {
+        graph.check_variable(node)?;
+        if !seen.insert(node) {
+            return Err(RemovalError::Twice { variable: node });
+        }
+    }
+    if nodes.is_empty() { Err(RemovalError::Nothing) } else { Ok(()) }
+}
+
+/// Whether the node has to stay, where another error says that the call makes no sense.
+fn is_needed(error: &RemovalError) -> bool {
+    matches!(
+        error,
+        RemovalError::NoBlanket { .. }
+            | RemovalError::LastPose { .. }
+            | RemovalError::NotRepresentable { .. }
+    )
+}
+
+/// The exact estimates of a smoother, each looked up where it is needed.
+fn estimate(smoother: &Smoother, variable: VariableId) -> Result<Value, GraphError> {
+    smoother.estimate_value(variable).map_err(|error| match error {
+        SmootherError::Graph(error) => error,
+        _ => GraphError::UnknownVariable { variable },
+    })
+}
+
+fn plan(smoother: &Smoother, node: VariableId, rules: &Rules<'_>) -> Result<Plan, RemovalError> {
+    let estimates = |variable| estimate(smoother, variable);
+    Removal::new(smoother.graph(), &estimates)
+        .with_options(rules.options)
+        .sparing(rules.spared)
+        .plan(node)
+}
+
+/// What a removal would cost; `None` when it cannot be planned or priced.
+fn priced(
+    smoother: &Smoother,
+    covariances: &mut Covariances<'_>,
+    node: VariableId,
+    rules: &Rules<'_>,
+) -> Result<Option<f64>, RemovalError> {
+    let estimates = |variable| estimate(smoother, variable);
+    let mut joint = |variables: &[VariableId]| covariances.joint(variables);
+    let mut removal =
+        Removal::new(smoother.graph(), &estimates).with_options(*options).priced_by(&mut joint);
+    match removal.plan(node) {
+        Ok(plan) => Ok(plan.price()),
+        Err(RemovalError::Covariance { .. }) => Ok(None),
+        Err(error) if is_needed(&error) => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+/// Nodes that wait, and which is next.
+enum Queue {
+    /// The next is last.
+    Fixed(Vec<VariableId>),
+    /// By size of the blanket, then by id.
+    Degree { queue: BTreeSet<(usize, VariableId)>, degrees: BTreeMap<VariableId, usize> },
+    /// By price; what has none goes last.
+    Loss(BTreeMap<VariableId, f64>),
+}
+
+impl Queue {
+    fn new(
+        smoother: &Smoother,
+        nodes: &[VariableId],
+        rules: &Rules<'_>,
+    ) -> Result<Self, ThinningError> {
+        Ok(match rules.order {
+            Order::Given => Self::Fixed(nodes.iter().rev().copied().collect()),
+            Order::Random(seed) => Self::Fixed(shuffled(nodes, seed).into_iter().rev().collect()),
+            Order::MinDegree => {
+                let degree = |&node| Ok((node, degree(smoother.graph(), node)?));
+                let degrees = nodes.iter().map(degree).collect::<Result<BTreeMap<_, _>, _>>();
+                let degrees = degrees.map_err(RemovalError::Graph)?;
+                let queue = degrees.iter().map(|(&node, &degree)| (degree, node)).collect();
+                Self::Degree { queue, degrees }
+            }
+            Order::MinLoss => {
+                let mut covariances = smoother.covariances();
+                let mut prices = BTreeMap::new();
+                for &node in nodes {
+                    let price = priced(smoother, &mut covariances, node, rules)?;
+                    prices.insert(node, price.unwrap_or(f64::INFINITY));
+                }
+                Self::Loss(prices)
+            }
+        })
+    }
+
+    fn pop(&mut self) -> Option<VariableId> {
+        match self {
+            Self::Fixed(nodes) => nodes.pop(),
+            Self::Degree { queue, degrees } => {
+                let (_, node) = queue.pop_first()?;
+                degrees.remove(&node);
+                Some(node)
+            }
+            Self::Loss(prices) => {
+                let least = prices.iter().min_by(|a, b| a.1.total_cmp(b.1));
+                let node = *least?.0;
+                prices.remove(&node);
+                Some(node)
+            }
+        }
+    }
+
+    /// After a removal whose blanket was `touched`.
+    fn look_again(
+        &mut self,
+        smoother: &Smoother,
+        touched: &[VariableId],
+        rules: &Rules<'_>,
+    ) -> Result<(), ThinningError> {
+        let graph = smoother.graph();
+        match self {
+            Self::Fixed(_) => {}
+            Self::Degree { queue, degrees } => {
+                for node in touched {
+                    if let Some(known) = degrees.get_mut(node) {
+                        queue.remove(&(*known, *node));
+                        *known = degree(graph, *node).map_err(RemovalError::Graph)?;
+                        queue.insert((*known, *node));
+                    }
+                }
+            }
+            Self::Loss(prices) => {
+                // A neighborhood has changed when it shares a variable with this one.
+                let mut near: BTreeSet<VariableId> = touched.iter().copied().collect();
+                for &variable in touched {
+                    near.extend(neighbors(graph, variable).map_err(RemovalError::Graph)?);
+                }
+                let mut covariances = smoother.covariances();
+                for node in near {
+                    if let Some(price) = prices.get_mut(&node) {
+                        let found = priced(smoother, &mut covariances, node, rules)?;
+                        *price = found.unwrap_or(f64::INFINITY);
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The Markov blanket of a variable, and the variable.
+fn neighbors(graph: &Graph, node: VariableId) -> Result<BTreeSet<VariableId>, GraphError> {
+    let mut found = BTreeSet::new();
+    for factor in graph.factors_of(node)? {
+        found.extend(graph.factor(factor)?.keys().iter().copied());
+    }
+    Ok(found)
+}
+
+/// How many others share a factor with it.
+fn degree(graph: &Graph, node: VariableId) -> Result<usize, GraphError> {
+    Ok(neighbors(graph, node)?.len().saturating_sub(1))
+}
