@@ -1,6 +1,5 @@
 //! In which order many nodes are removed.
 
-use evergraph_model::VariableId;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -24,7 +23,7 @@ pub enum Order {
 
 /// `nodes` in a random order, the same on every machine for one seed: that of [`Order::Random`], and
 /// its beginning a fair choice of some.
-pub fn shuffled(nodes: &[VariableId], seed: u64) -> Vec<VariableId> {
+pub fn shuffled<T: Clone>(nodes: &[T], seed: u64) -> Vec<T> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut nodes = nodes.to_vec();
     for last in (1..nodes.len()).rev() {

@@ -1,0 +1,74 @@
+//! What removal does to public graphs: `sweep` removes many nodes from each in many ways and looks for
+//! errors; `cut` removes in the middle of a replay and goes on, and compares recoveries. Writes Markdown.
+#![forbid(unsafe_code)]
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "tables are what it is for")]
+
+mod cut;
+mod sweep;
+
+use std::path::Path;
+use std::process::ExitCode;
+
+use evergraph::formats::{Document, ReadOptions, ReplayOptions};
+use evergraph::model::FactorId;
+use evergraph::solver::{BatchSettings, Settings};
+use evergraph::{Replayer, ReplayerError};
+
+const USAGE: &str = "\
+usage: cargo bench -p evergraph-benches --bench removal -- sweep [--quick] FILE...
+       cargo bench -p evergraph-benches --bench removal -- cut FILE:POSES...";
+
+type Failure = Box<dyn std::error::Error + Send + Sync>;
+
+fn main() -> ExitCode {
+    // Cargo adds `--bench`.
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|it| it != "--bench").collect();
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let all_well = match words.as_slice() {
+        // `cargo test --benches` and `cargo bench` of everything have no files to work on.
+        [] => Ok(true),
+        ["sweep", "--quick", files @ ..] if !files.is_empty() => sweep::run(files, true),
+        ["sweep", files @ ..] if !files.is_empty() => sweep::run(files, false),
+        ["cut", files @ ..] if !files.is_empty() => cut::run(files),
+        _ => {
+            eprintln!("{USAGE}");
+            return ExitCode::from(2);
+        }
+    };
+    match all_well {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// The file's name without its folders.
+fn short(file: &str) -> String {
+    Path::new(file).file_name().map_or_else(|| file.into(), |name| name.to_string_lossy().into())
+}
+
+fn read(file: &str) -> Result<Document, Failure> {
+    Ok(Document::read(file, &ReadOptions::default())?)
+}
+
+/// One thread each; the variants run side by side.
+fn settings() -> Settings {
+    Settings { threads: 1, ..Settings::default() }
+}
+
+fn replayer(document: &Document) -> Result<Replayer, ReplayerError> {
+    Replayer::new(document, &ReplayOptions::default(), settings())
+}
+
+/// What holds the map in its place is no measurement: it stays.
+fn gauge(replayer: &Replayer) -> Vec<FactorId> {
+    replayer.replay().gauge_priors().iter().map(|prior| prior.factor).collect()
+}
+
+/// To where rounding ends.
+fn to_the_end() -> BatchSettings {
+    BatchSettings { relative_decrease: 0.0, ..BatchSettings::default() }
+}

@@ -1,0 +1,120 @@
+//! Every graph, many nodes, all orders: nothing may end in an error or free a direction.
+
+use std::time::Instant;
+
+use evergraph::model::{FactorId, VariableId};
+use evergraph::removal::{Options, Order, Topology, shuffled};
+use evergraph::{Rules, Smoother, Thinning};
+use rayon::prelude::*;
+
+use crate::{Failure, gauge, read, replayer, short, to_the_end};
+
+/// One way to remove nodes.
+#[derive(Clone, Copy)]
+struct Variant {
+    topology: Topology,
+    percent: usize,
+    order: Order,
+    seed: u64,
+}
+
+/// Trees at 33, 67 and 95 % in three orders with three seeds and at 95 % with twenty; dense at 10 and
+/// 50 %. The seed chooses the nodes, and the order where that is random.
+fn variants(quick: bool) -> Vec<Variant> {
+    let (seeds, random_seeds) = if quick { (1, 2) } else { (3, 20) };
+    let orders = |seed| [Order::Random(seed), Order::MinDegree, Order::MinLoss];
+    let tree = |percent, order, seed| Variant { topology: Topology::ChowLiu, percent, order, seed };
+    let mut variants = Vec::new();
+    for percent in [33, 67, 95] {
+        for seed in 1..=seeds {
+            variants.extend(orders(seed).map(|order| tree(percent, order, seed)));
+        }
+    }
+    variants.extend((seeds + 1..=random_seeds).map(|seed| tree(95, Order::Random(seed), seed)));
+    for percent in [10, 50] {
+        let order = Order::Random(1);
+        variants.push(Variant { topology: Topology::Dense, percent, order, seed: 1 });
+    }
+    variants
+}
+
+/// What came of it.
+struct Outcome {
+    kept: usize,
+    fallbacks: usize,
+    seconds: f64,
+    failure: Option<String>,
+}
+
+/// Sweeps each file; says whether all went well.
+pub fn run(files: &[&str], quick: bool) -> Result<bool, Failure> {
+    println!("| graph | variables | removals | kept for rank | fallbacks | seconds | failures |");
+    println!("|---|---|---|---|---|---|---|");
+    let mut all_well = true;
+    for file in files {
+        let mut replayer = replayer(&read(file)?)?;
+        replayer.everything()?;
+        replayer.smoother_mut().optimize(&to_the_end())?;
+        let spared = gauge(&replayer);
+        let nodes: Vec<VariableId> = replayer.graph().variables().skip(1).collect();
+        let smoother = replayer.into_smoother();
+        let variants = variants(quick);
+        let outcomes: Vec<Outcome> = variants
+            .par_iter()
+            .map(|variant| try_one(&smoother, &nodes, &spared, variant))
+            .collect();
+        let failures: Vec<String> = outcomes.iter().filter_map(|it| it.failure.clone()).collect();
+        println!(
+            "| {} | {} | {} | {} | {} | {:.1} | {} |",
+            short(file),
+            nodes.len() + 1,
+            variants.len(),
+            outcomes.iter().map(|it| it.kept).sum::<usize>(),
+            outcomes.iter().map(|it| it.fallbacks).sum::<usize>(),
+            outcomes.iter().map(|it| it.seconds).sum::<f64>(),
+            if failures.is_empty() { "none".into() } else { failures.join("; ") },
+        );
+        all_well &= failures.is_empty();
+    }
+    Ok(all_well)
+}
+
+fn try_one(
+    full: &Smoother,
+    nodes: &[VariableId],
+    spared: &[FactorId],
+    variant: &Variant,
+) -> Outcome {
+    let begun = Instant::now();
+    let count = nodes.len() * variant.percent / 100;
+    let chosen = &shuffled(nodes, variant.seed)[..count];
+    let options = Options { topology: variant.topology, ..Options::default() };
+    let rules = Rules { order: variant.order, options, spared, prices: false };
+    let mut smoother = full.clone();
+    let mut outcome = Outcome { kept: 0, fallbacks: 0, seconds: 0.0, failure: None };
+    let failed = |error: String| {
+        let topology = variant.topology;
+        Some(format!(
+            "{topology:?} {} % {:?} {}: {error}",
+            variant.percent, variant.order, variant.seed
+        ))
+    };
+    match Thinning::run(&mut smoother, chosen, &rules, || ()) {
+        Ok(thinning) => {
+            outcome.kept = thinning.kept.len();
+            outcome.fallbacks = thinning.removed.iter().filter(|it| it.fallback.is_some()).count();
+            // A direction that came free would make this singular, and a lost gradient would move it.
+            let (before, seen) = (smoother.error(), smoother.optimize(&to_the_end()));
+            outcome.failure = match seen {
+                Err(error) => failed(error.to_string()),
+                Ok(_) if before - smoother.error() > 1e-6 * (1.0 + before) => {
+                    failed(format!("the error fell from {before} to {}", smoother.error()))
+                }
+                Ok(_) => None,
+            };
+        }
+        Err(error) => outcome.failure = failed(error.to_string()),
+    }
+    outcome.seconds = begun.elapsed().as_secs_f64();
+    outcome
+}
