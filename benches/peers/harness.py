@@ -121,13 +121,13 @@ def spread(values, digits):
 
 
 class Table:
-    """Markdown that appears line by line, and in the end between two comments of benches/README.md."""
+    """Markdown that appears line by line, and in the end between two comments of a page."""
 
-    def __init__(self, marker, write):
-        self.marker, self.write, self.lines = marker, write, []
+    def __init__(self, marker, write, page=README):
+        self.marker, self.write, self.lines, self.page = marker, write, [], page
         self.pattern = re.compile(f"(<!-- {marker}:begin -->\n).*?(<!-- {marker}:end -->)", re.DOTALL)
-        if write and not self.pattern.search(open(README).read()):
-            sys.exit(f"{README} has no place for this table: <!-- {marker}:begin --> and <!-- {marker}:end -->")
+        if write and not self.pattern.search(open(page).read()):
+            sys.exit(f"{page} has no place for this table: <!-- {marker}:begin --> and <!-- {marker}:end -->")
 
     def line(self, text):
         print(text, flush=True)
@@ -142,7 +142,7 @@ class Table:
 
     def close(self):
         if self.write:
-            text = open(README).read()
+            text = open(self.page).read()
             body = "\n".join(self.lines) + "\n"
-            with open(README, "w") as file:
+            with open(self.page, "w") as file:
                 file.write(self.pattern.sub(lambda match: match[1] + "\n" + body + "\n" + match[2], text))

@@ -53,7 +53,8 @@ pub enum MutualInformation {
     /// vanishing prior.
     #[default]
     Limit,
-    /// With `ln det(Λ + I)` in the place of `ln det Λ`, as iSAM 1.7 does: depends on units.
+    /// `½ (ln det(Λ_i|j + I) - ln det(Λ_i + I))`, as iSAM 1.7 has it: defined for singular targets,
+    /// and depends on units.
     LogDetPlusIdentity,
 }
 

@@ -177,18 +177,21 @@ fn vanishing_prior(target: &Target) -> WeightOf<'_> {
     })
 }
 
-/// iSAM 1.7: `½ (ln |Λ_ij + I| - ln |Λ_i + I| - ln |Λ_j + I|)` of marginal information matrices.
+/// iSAM 1.7: `½ (ln |Λ_i|j + I| - ln |Λ_i + I|)`, with `Λ_i|j` the block of x_i in the marginal of the
+/// pair, for the member that comes first.
 fn isam(target: &Target) -> WeightOf<'_> {
-    let log_det = |kept: &[usize]| {
-        let rows = target.marginal(kept);
+    let log_det = |rows: DMatrix<f64>| {
         let n = rows.ncols();
         let plus = rows.tr_mul(&rows) + DMatrix::identity(n, n);
         plus.cholesky()
             .map_or(f64::NEG_INFINITY, |c| 2.0 * c.l_dirty().diagonal().map(f64::ln).sum())
     };
-    let single: Vec<f64> = (0..target.members.len()).map(|k| log_det(&[k])).collect();
-    Box::new(move |i, j| Weight {
-        nullity: 0,
-        finite: 0.5 * (log_det(&[i, j]) - single[i] - single[j]),
+    let single: Vec<f64> =
+        (0..target.members.len()).map(|k| log_det(target.marginal(&[k]))).collect();
+    Box::new(move |i, j| {
+        let (i, j) = (i.min(j), i.max(j));
+        let pair = target.marginal(&[i, j]);
+        let given = pair.columns(0, target.dim_of(i)).into_owned();
+        Weight { nullity: 0, finite: 0.5 * (log_det(given) - single[i]) }
     })
 }
