@@ -223,8 +223,10 @@ fn priced(
 ) -> Result<Option<f64>, RemovalError> {
     let estimates = |variable| estimate(smoother, variable);
     let mut joint = |variables: &[VariableId]| covariances.joint(variables);
-    let mut removal =
-        Removal::new(smoother.graph(), &estimates).with_options(*options).priced_by(&mut joint);
+    let mut removal = Removal::new(smoother.graph(), &estimates)
+        .with_options(rules.options)
+        .sparing(rules.spared)
+        .priced_by(&mut joint);
     match removal.plan(node) {
         Ok(plan) => Ok(plan.price()),
         Err(RemovalError::Covariance { .. }) => Ok(None),
