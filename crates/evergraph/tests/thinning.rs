@@ -23,10 +23,10 @@ fn world(threads: usize) -> (Smoother, Vec<VariableId>) {
     (1..40).for_each(|k| edge(k - 1, k));
     (3..40).step_by(3).for_each(|k| edge(k - 3, k));
     let landmark = change.add_variable(&Point2::new(30.0, 3.0));
-    for k in 28..33 {
+    for (k, pose) in poses.iter().enumerate().take(33).skip(28) {
         let seen = Point2::new(30.0 - k as f64 + wiggle(k), 3.0);
         let noise = Noise::isotropic(2, 0.3).unwrap();
-        change.add_factor(RelativePosition2::new(poses[k], landmark, seen, noise).unwrap());
+        change.add_factor(RelativePosition2::new(*pose, landmark, seen, noise).unwrap());
     }
     smoother.apply(change).unwrap();
     smoother.optimize(&BatchSettings::default()).unwrap();
