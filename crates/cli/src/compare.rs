@@ -16,7 +16,9 @@ use crate::error::Error;
 use crate::files;
 use crate::options::{Common, Reading, Solving, StartFrom};
 use crate::output::Output;
-use crate::reduction::{self, Reduction, Size, gauge_factors, incomparable, to_the_end};
+use crate::reduction::{
+    self, Reduction, Size, gauge_factors, incomparable, to_the_end, warn_of_ends,
+};
 use crate::replay::{unsolvable, warn_of_landmarks};
 use crate::report::{self, SCHEMA};
 use crate::table::{Rows, milliseconds};
@@ -59,7 +61,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
 
     let document = arguments.reading.read(&arguments.full, common)?;
     let mut full = Replayer::new(&document, &options, settings)?;
-    solve(&mut full).map_err(|error| error.with_gauge(prior, &document))?;
+    let first = solve(&mut full).map_err(|error| error.with_gauge(prior, &document))?;
     let document = arguments.reading.read(&arguments.reduced, common)?;
     let document = document.with_vertices(optimum_of(&full, &document)?)?;
     let mut reduced = Replayer::new(&document, &options, settings)?;
@@ -98,11 +100,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         report.insert(field.into(), value);
     }
     reduction.add_to(&mut report);
+    report.insert("first_optimization".into(), serde_json::to_value(first)?);
     report.insert("optimization".into(), serde_json::to_value(batch)?);
     report.insert("total_s".into(), json!(begun.elapsed().as_secs_f64()));
     report::save(common.report.as_deref(), &report)?;
     warn_of_landmarks(&full, output);
     warn_of_landmarks(&reduced, output);
+    warn_of_ends(&[("full", &first), ("reduced", &batch)], output);
 
     let mut rows = Rows::new("full graph", &names[0]);
     rows.add("reduced graph", &names[1]);

@@ -7,6 +7,7 @@ use evergraph::{Replayer, Smoother};
 use serde_json::{Map, Value, json};
 
 use crate::error::Error;
+use crate::output::Output;
 use crate::report;
 use crate::table::{Rows, number};
 
@@ -132,6 +133,19 @@ pub(crate) fn ended(batch: &BatchReport) -> String {
     match batch.status {
         BatchStatus::Converged => format!("converged after {} iterations", batch.iterations),
         BatchStatus::NotConverged(reason) => format!("not converged ({})", report::why(reason)),
+    }
+}
+
+/// Warns where an optimum was not reached, of which shifts and the mean's divergence are.
+pub(crate) fn warn_of_ends(ends: &[(&str, &BatchReport)], output: Output) {
+    for (graph, batch) in ends {
+        if batch.status != BatchStatus::Converged {
+            output.warn(&format!(
+                "the {graph} graph has {}; what is said of the mean and of shifts is of where it \
+                 stopped. Start closer: `evergraph replay FILE --final-batch --output MAP.g2o` first",
+                ended(batch)
+            ));
+        }
     }
 }
 

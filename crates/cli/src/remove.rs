@@ -8,7 +8,7 @@ use evergraph::evaluate::{Divergence, Solved};
 use evergraph::formats::{Document, Line, Record, WriteOptions};
 use evergraph::model::VariableId;
 use evergraph::removal::{Offset, Options, Order, Recovery, Topology};
-use evergraph::solver::{Settings, Smoother};
+use evergraph::solver::{BatchReport, Settings, Smoother};
 use evergraph::{Needed, Replayer, Rules, Thinning};
 use serde_json::{Map, Value, json};
 
@@ -19,7 +19,9 @@ use crate::nodes::Choice;
 use crate::options::{Common, Policy, Reading, Solving, StartFrom};
 use crate::output::Output;
 use crate::progress::Progress;
-use crate::reduction::{self, Reduction, Size, gauge_factors, incomparable, to_the_end};
+use crate::reduction::{
+    self, Reduction, Size, gauge_factors, incomparable, to_the_end, warn_of_ends,
+};
 use crate::replay::{unsolvable, warn_of_landmarks};
 use crate::report::{self, SCHEMA, Spread};
 use crate::table::{Rows, milliseconds, number};
@@ -187,16 +189,17 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     check_targets(arguments, &document)?;
     let options = arguments.solving.replay_options(StartFrom::File);
     let mut replayer = Replayer::new(&document, &options, settings)?;
-    let nodes = start(&mut replayer, arguments)
+    let (nodes, first) = start(&mut replayer, arguments)
         .map_err(|error| error.with_gauge(arguments.solving.prior.0, &document))?;
 
     let mut full = replayer.smoother().clone();
     let progress = Progress::new(nodes.len(), output.is_interactive());
     let thinning = thin(&mut replayer, &nodes, arguments, progress)?;
     let explain = |source| unsolvable(&replayer, source);
-    if arguments.no_optimize {
-        full.optimize(&to_the_end()).map_err(explain)?;
-    }
+    let first = match first {
+        Some(first) => first,
+        None => full.optimize(&to_the_end()).map_err(explain)?,
+    };
     let mut reduced = replayer.smoother().clone();
     let batch = reduced.optimize(&to_the_end()).map_err(explain)?;
     // Before the long work of the metrics.
@@ -229,11 +232,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     report.insert("settings".into(), settings_json(arguments, &settings)?);
     told.add_to(&mut report);
     reduction.add_to(&mut report);
+    report.insert("first_optimization".into(), serde_json::to_value(first)?);
     report.insert("optimization".into(), serde_json::to_value(batch)?);
     report.insert("peak_rss_mb".into(), json!(report::peak_rss_mb()));
     report.insert("total_s".into(), json!(begun.elapsed().as_secs_f64()));
     report::save(common.report.as_deref(), &report)?;
     warn_of_landmarks(&replayer, output);
+    warn_of_ends(&[("full", &first), ("reduced", &batch)], output);
 
     let mut rows = Rows::new("data set", &dataset);
     told.show(&mut rows);
@@ -254,15 +259,18 @@ fn check_targets(arguments: &Arguments, document: &Document) -> Result<(), Error
 }
 
 /// Brings everything in, solves it, and chooses.
-fn start(replayer: &mut Replayer, arguments: &Arguments) -> Result<Vec<VariableId>, Error> {
+fn start(
+    replayer: &mut Replayer,
+    arguments: &Arguments,
+) -> Result<(Vec<VariableId>, Option<BatchReport>), Error> {
     replayer.everything()?;
     // A list that makes no sense is told before the work.
     let nodes = arguments.choice.nodes(replayer, arguments.seed)?;
-    if !arguments.no_optimize {
-        let batch = replayer.smoother_mut().optimize(&to_the_end());
-        batch.map_err(|source| unsolvable(replayer, source))?;
+    if arguments.no_optimize {
+        return Ok((nodes, None));
     }
-    Ok(nodes)
+    let batch = replayer.smoother_mut().optimize(&to_the_end());
+    Ok((nodes, Some(batch.map_err(|source| unsolvable(replayer, source))?)))
 }
 
 fn thin(

@@ -120,8 +120,8 @@ fn modes_orders_and_choices() {
         loss.push((options, number(&report, "kld_covariance"), number(&report, "max_shift_m")));
         assert_eq!(report["price_sum"].is_null(), options.contains("no-price"), "{report}");
     }
-    // The same nodes are chosen each time; the best order costs no more than the others.
-    assert!(loss[0].1 <= loss[1].1 + 1e-9 && loss[0].1 <= loss[2].1 + 1e-9, "{loss:?}");
+    // The same nodes are chosen each time; chance is no better than looking.
+    assert!(loss[0].1 < loss[2].1 && loss[1].1 < loss[2].1, "{loss:?}");
     for (options, _, shift) in &loss {
         let moves = options.contains("isam") || options.contains("paper");
         assert_eq!(*shift > 1e-5, moves, "{loss:?}");

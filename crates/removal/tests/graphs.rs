@@ -294,9 +294,9 @@ fn what_is_spared_stays() {
     let kept: Vec<VariableId> = graph.variables().filter(|id| *id != nodes[0]).collect();
     let expected = marginal(&whole, &kept);
     for plan in [absorbed, spared] {
-        let found = system(&reduced(&whole, &plan), &kept);
+        let found = marginal(&reduced(&whole, &plan), &kept);
         assert!((&found.0 - &expected.0).amax() < 1e-9 * expected.0.amax());
-        assert!((&found.1 - &expected.1).amax() < 1e-9 * expected.0.amax());
+        assert!((&found.1 - &expected.1).amax() < 1e-9);
     }
     // On the node itself there is nothing to be left alone.
     let removal = Removal::new(graph, &values).with_options(Options::dense());
