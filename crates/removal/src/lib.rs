@@ -63,6 +63,7 @@ mod potential;
 mod price;
 mod qr;
 mod recover;
+mod smoother;
 mod step;
 mod target;
 mod topology;
