@@ -54,7 +54,7 @@ fn a_thousand_sequences() {
         number.set(number.get() + 1);
         let elimination = [Elimination::Cholesky, Elimination::Qr][number.get() % 2];
         let mut world = World::new(elimination);
-        let mut on_two = (number.get() % 8 == 0).then(|| World::on_threads(elimination, 2));
+        let mut on_two = number.get().is_multiple_of(8).then(|| World::on_threads(elimination, 2));
         for (step, operation) in operations.iter().enumerate() {
             let at = format!("step {step}, {operation:?}");
             world.run(operation);
