@@ -11,6 +11,7 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
+pub mod double;
 mod oracle;
 mod replay;
 pub mod world;

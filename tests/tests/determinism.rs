@@ -4,6 +4,8 @@
 use std::num::NonZeroU32;
 
 use evergraph::Settings;
+use evergraph::model::VariableId;
+use evergraph::removal::{Options, Order, Removal};
 use evergraph::solver::{BatchSettings, Relinearization};
 use evergraph_tests::{data_file, read, replay};
 
@@ -42,4 +44,33 @@ fn city() {
 #[test]
 fn sphere() {
     same_bits("sphere", "pose3d/sphere2500.g2o");
+}
+
+/// Half of the poses removed from a graph whose largest cliques are shared among threads.
+#[test]
+fn removals() {
+    let Some(path) = data_file("removals", "pose3d/sphere2500.g2o") else { return };
+    let document = read(&path);
+    let fingerprints = [1, 2, 4].map(|threads| {
+        let settings =
+            Settings { threads, relinearization: Relinearization::NEVER, ..Settings::default() };
+        let mut smoother = replay(&document, settings, |_, _| ()).into_smoother();
+        let mut trace = Vec::new();
+        for (options, share) in [(Options::default(), 3), (Options::dense(), 7)] {
+            let nodes: Vec<VariableId> =
+                smoother.graph().variables().skip(1).step_by(share).collect();
+            let estimates = smoother.estimates();
+            let plan = Removal::new(smoother.graph(), &estimates)
+                .with_options(options)
+                .plan_many(&nodes, Order::MinDegree)
+                .unwrap();
+            smoother.apply(plan.into_change()).unwrap();
+            trace.push(smoother.fingerprint());
+        }
+        smoother.optimize(&BatchSettings::default()).unwrap();
+        trace.push(smoother.fingerprint());
+        trace
+    });
+    assert_eq!(fingerprints[0], fingerprints[1], "1 and 2 threads");
+    assert_eq!(fingerprints[0], fingerprints[2], "1 and 4 threads");
 }

@@ -10,7 +10,7 @@ use std::env;
 
 use evergraph::prelude::*;
 use evergraph_tests::check_against_batch;
-use evergraph_tests::world::{MAKERS, Operation, World};
+use evergraph_tests::world::{MAKERS, Maker, Operation, World};
 use proptest::prelude::*;
 use proptest::test_runner::{FileFailurePersistence, TestRunner};
 
@@ -76,4 +76,42 @@ fn any_sequence_with_cholesky() {
 #[test]
 fn any_sequence_with_qr() {
     any_sequence(Elimination::Qr);
+}
+
+/// A factor that is added to the library without a maker would go untested here and in the tests of
+/// node removal.
+#[test]
+fn every_factor_of_the_library_is_measured() {
+    let library = include_str!("../../crates/factors/src/lib.rs");
+    // The table of factors in the documentation of the crate, which every new one is a row of.
+    let names: Vec<&str> = library
+        .lines()
+        .filter(|line| line.starts_with("//! | ["))
+        .flat_map(|line| line.split('|').nth(1).into_iter().flat_map(|cell| cell.split(", ")))
+        .map(|name| name.trim().trim_start_matches("[`").trim_end_matches("`]"))
+        .collect();
+    assert!(names.len() > 20 && names.contains(&"Linear"), "{names:?}");
+    let of = |maker: &Maker| maker.name.split([' ', '<']).next();
+    let missing = |name: &&&str| !MAKERS.iter().any(|maker| of(maker) == Some(**name));
+    let missing: Vec<_> = names.iter().filter(missing).collect();
+    assert!(missing.is_empty(), "no maker for {missing:?}; add one to tests/src/world/makers.rs");
+    // And the table has them all.
+    let folder = evergraph_tests::repository().join("crates/factors/src");
+    let mut sources: Vec<_> =
+        std::fs::read_dir(&folder).unwrap().map(|e| e.unwrap().path()).collect();
+    sources.extend(std::fs::read_dir(folder.join("autodiff")).unwrap().map(|e| e.unwrap().path()));
+    let mut implemented = 0;
+    for file in sources.iter().filter(|path| path.extension().is_some_and(|end| end == "rs")) {
+        let text = std::fs::read_to_string(file).unwrap();
+        for line in text.lines().filter(|line| line.starts_with("impl")) {
+            let Some((_, rest)) = line.split_once(" Factor for ") else { continue };
+            let name = rest.split(['<', ' ']).next().unwrap();
+            assert!(
+                names.contains(&name),
+                "{name} is not in the table of crates/factors/src/lib.rs"
+            );
+            implemented += 1;
+        }
+    }
+    assert!(implemented > 20, "{implemented} factors found");
 }

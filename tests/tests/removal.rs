@@ -87,15 +87,8 @@ fn nodes_go_one_by_one() {
     let mut smoother = full.clone();
     let mut stale = None;
     for &node in &poses[..60] {
-        let estimate = |id| {
-            smoother.estimate_value(id).map_err(|error| match error {
-                evergraph::SmootherError::Graph(error) => error,
-                other => panic!("{other}"),
-            })
-        };
         let mut covariances = smoother.covariances();
-        let mut joint = |ids: &[VariableId]| covariances.joint(ids);
-        let mut removal = Removal::new(smoother.graph(), &estimate).priced_by(&mut joint);
+        let mut removal = Removal::new(smoother.graph(), &smoother).priced_by(&mut covariances);
         let plan = removal.plan(node).unwrap();
         assert!(plan.price().unwrap() >= -1e-9, "{:?}", plan.price());
         let again = removal.plan(node).unwrap();

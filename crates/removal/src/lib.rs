@@ -64,6 +64,7 @@ mod potential;
 mod price;
 mod qr;
 mod recover;
+mod smoother;
 mod step;
 mod target;
 mod topology;

@@ -28,6 +28,17 @@ pub(crate) struct Read {
     pub(crate) weight: f64,
 }
 
+/// Weights are quotients of two sums of squares, so that a factor without a kernel may come out
+/// just below 1.
+const WEIGHT_ROUNDING: f64 = 1e-9;
+
+impl Read {
+    /// Whether its weight is below the least that is absorbed.
+    fn is_light(&self, options: &Options) -> bool {
+        self.weight < options.least_weight * (1.0 - WEIGHT_ROUNDING)
+    }
+}
+
 /// `X_m` and `Z_m` of the paper (section II-A): the removed nodes, their blanket, and the factors
 /// that are on those variables only.
 #[derive(Clone, Debug)]
@@ -81,7 +92,7 @@ impl Neighborhood {
                 let first = factor.keys().iter().filter_map(|&key| places.removed(key)).min();
                 if first == places.removed(id) {
                     let read = neighborhood.read(source, factor, &places)?;
-                    if read.weight < options.least_weight {
+                    if read.is_light(options) {
                         neighborhood.rejected.push(read);
                     } else {
                         neighborhood.factors.push(read);
@@ -97,7 +108,7 @@ impl Neighborhood {
                         && factor.keys().iter().all(|&key| places.blanket(key).is_some());
                     if inside {
                         let read = neighborhood.read(source, factor, &places)?;
-                        if read.weight >= options.least_weight {
+                        if !read.is_light(options) {
                             neighborhood.factors.push(read);
                         }
                     }

@@ -115,8 +115,9 @@ pub struct Options {
     /// as the papers do: the tree then stands for all that the clique knows, and edges between kept
     /// neighbours do not pile up. `false` leaves them alone. Default `true`.
     pub intra_clique: bool,
-    /// A robust factor of less weight than this at the estimate is not absorbed: between kept
-    /// variables it stays, on the node it goes without a trace (the plan lists it). Default 0.01.
+    /// A robust factor of less weight than this at the estimate (by more than rounding) is not
+    /// absorbed: between kept variables it stays, on the node it goes without a trace (the plan lists
+    /// it). At 1 only factors that their kernel leaves whole are absorbed. Default 0.01.
     pub least_weight: f64,
     /// When a tree is not trusted.
     pub guard: Guard,

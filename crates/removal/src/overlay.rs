@@ -7,8 +7,9 @@ use evergraph_model::{Factor, FactorId, Graph, GraphError, Value, Values, Variab
 
 use crate::error::RemovalError;
 
-/// Where estimates come from: [`Values`], or a closure such as
-/// `|id| smoother.estimate_value(id)` with its error mapped.
+/// Where estimates come from: a [`Smoother`](evergraph_solver::Smoother), which computes those that
+/// are asked for, its [`Estimates`](evergraph_solver::Estimates) of everybody, [`Values`], or a
+/// closure.
 pub trait Estimates {
     /// The estimate of a variable.
     ///

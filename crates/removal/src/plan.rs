@@ -138,8 +138,11 @@ impl Plan {
 /// #     last = next;
 /// # }
 /// # smoother.apply(change)?;
-/// let plan = Removal::new(smoother.graph(), &smoother.estimates()).plan(middle)?;
+/// let plan = Removal::new(smoother.graph(), &smoother)
+///     .priced_by(&mut smoother.covariances())
+///     .plan(middle)?;
 /// assert_eq!(plan.steps()[0].blanket.len(), 2);
+/// assert!(plan.price().is_some_and(|nats| nats < 1e-6));
 /// smoother.apply(plan.into_change())?;
 /// assert_eq!(smoother.graph().variable_count(), 3);
 /// # Ok(())

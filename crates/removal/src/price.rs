@@ -5,11 +5,14 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::error::RemovalError;
 
-/// Joint covariances of the full graph at the estimate, for example from the clique tree. Closures
+/// Joint covariances of the full graph at the estimate, for example those of the clique tree
+/// ([`Covariances`](evergraph_solver::Covariances)). Closures
 /// `FnMut(&[VariableId]) -> Result<DMatrix<f64>, E>` are covariances.
 ///
-/// A smoother's are of the tangents at its linearization points: prices are exact where these are the
-/// estimates, as right after a batch step, and off by how far headings have moved since otherwise.
+/// A smoother's come from its linearization points: prices are exact where these are the estimates,
+/// as right after a batch step, and off by what variables have moved relative to each other since
+/// otherwise. A motion that poses have in common changes nothing, because their tangents move along;
+/// carrying the covariances over by the derivative of `Local` would turn them against each other.
 pub trait Covariance {
     /// The joint covariance of `variables`, in that order, each in the order of its tangent.
     ///

@@ -67,13 +67,7 @@ proptest! {
         let full = scene.stack(scene.graph.factors().map(|(_, f)| f), &order);
         let gone = nodes.iter().map(|id| scene.graph.dim_at(id.index())).sum();
         let expected = rank(&full.0) - rank(&full.0.columns(0, gone).into_owned());
-        for options in [
-            Options::default(),
-            Options::dense(),
-            Options { recovery: Recovery::Nonlinear, ..Options::default() },
-            Options { root_shift: RootShift::InverseRoot, ..Options::default() },
-            Options { intra_clique: false, ..Options::default() },
-        ] {
+        for options in keeping() {
             for plan_order in [Order::Given, Order::Random(seed), Order::MinDegree] {
                 let plan = Removal::new(&scene.graph, &scene.values())
                     .with_options(options)

@@ -6,9 +6,9 @@
 mod common;
 
 use common::*;
-use evergraph_factors::{BetweenPose2, BetweenPose3, Prior};
-use evergraph_model::{LieGroup, Pose2, Pose3};
-use evergraph_removal::{Offset, Options, RootShift, Topology};
+use evergraph_factors::{Between, BetweenPose2, BetweenPose3, Linear, Prior};
+use evergraph_model::{Factor, LieGroup, Pose2, Pose3};
+use evergraph_removal::{Offset, Options, Recovery, RootShift, Topology};
 use nalgebra::DMatrix;
 
 /// A node, others around it, and an absolute measurement of each, so that Λ_t is regular.
@@ -119,6 +119,131 @@ fn trees_of_generic_linear_constraints_are_the_papers() {
                 assert!(stack.1.amax() < 1e-13);
             }
         }
+    }
+}
+
+/// A node and others around it, seen from each other only.
+fn relative<G: LieGroup<N>, const N: usize>(count: usize, seed: u64) -> (Scene, Vec<G>) {
+    let mut draw = Draw::new(seed);
+    let values: Vec<G> = (0..=count)
+        .map(|_| {
+            let mut d = draw.vector::<N>(6.0);
+            // Rotation comes last: one number in the plane, three in space.
+            (N - if N == 3 { 1 } else { 3 }..N).for_each(|k| d[k] *= 0.2);
+            G::exp(&d)
+        })
+        .collect();
+    let scene = Scene::of(|change| {
+        let keys: Vec<_> = values.iter().map(|x| change.add_variable(x)).collect();
+        for j in 1..=count {
+            for i in [0, j / 2] {
+                let z = values[i].between(&values[j]).compose(&G::exp(&draw.vector(0.02)));
+                let edge = Between::<G, N>::new(keys[i], keys[j], z, draw.noise(N));
+                change.add_factor(edge.unwrap());
+            }
+        }
+    });
+    (scene, values)
+}
+
+/// The limit of equations 1 to 4 and 17 for a target that knows nothing of the world, under a prior
+/// on one variable that vanishes: Σ with that variable held; trees by `-½ ln |Σ_rel|`; an edge is
+/// `[-A I]ᵀ Σ_rel⁻¹ [-A I]` with `x_rel = x_j - A x_i` and A the adjoint of `x_j⁻¹ x_i`.
+fn relative_tree_information<G: LieGroup<N>, const N: usize>(
+    lambda: &DMatrix<f64>,
+    values: &[G],
+) -> DMatrix<f64> {
+    let n = values.len();
+    let held: Vec<usize> = (1..n).collect();
+    let inverse = block(lambda, &held, &held, N).try_inverse().unwrap();
+    let mut sigma = DMatrix::zeros(n * N, n * N);
+    sigma.view_mut((N, N), inverse.shape()).copy_from(&inverse);
+    let seen = |i: usize, j: usize| {
+        let a = values[j].between(&values[i]).adjoint();
+        let mut e = DMatrix::<f64>::zeros(N, 2 * N);
+        e.view_mut((0, 0), (N, N)).copy_from(&-a);
+        e.view_mut((0, N), (N, N)).fill_with_identity();
+        let covariance = &e * block(&sigma, &[i, j], &[i, j], N) * e.transpose();
+        (e, covariance)
+    };
+    let mut outside: Vec<usize> = (1..n).collect();
+    let mut total = DMatrix::zeros(n * N, n * N);
+    while !outside.is_empty() {
+        let pairs = (0..n)
+            .filter(|i| !outside.contains(i))
+            .flat_map(|i| outside.iter().map(move |&j| (i, j)));
+        let weight = |&(i, j): &(usize, usize)| -0.5 * seen(i, j).1.determinant().ln();
+        let (i, j) = pairs.max_by(|a, b| weight(a).total_cmp(&weight(b))).unwrap();
+        outside.retain(|&k| k != j);
+        let (e, covariance) = seen(i, j);
+        let information = e.transpose() * covariance.try_inverse().unwrap() * e;
+        for a in 0..2 * N {
+            for b in 0..2 * N {
+                let at = |k: usize| [i, j][k / N] * N + k % N;
+                total[(at(a), at(b))] += information[(a, b)];
+            }
+        }
+    }
+    total
+}
+
+fn relative_trees<G: LieGroup<N>, const N: usize>(count: usize, seed: u64) {
+    let (scene, values) = relative::<G, N>(count, seed);
+    let node = scene.ids()[0];
+    for (root_shift, recovery) in [
+        (RootShift::InverseRoot, Recovery::Glc),
+        (RootShift::Root, Recovery::Glc),
+        (RootShift::None, Recovery::Glc),
+        (RootShift::Root, Recovery::Nonlinear),
+    ] {
+        let options = Options { root_shift, recovery, ..Options::default() };
+        let plan = scene.plan(node, options);
+        let step = &plan.steps()[0];
+        assert_eq!((step.topology, step.rank), (Topology::ChowLiu, N * (count - 1)));
+        let answer = answer(&scene, &[node], &step.blanket);
+        let expected = relative_tree_information(&answer.lambda, &values[1..]);
+        let information = normal(&added(&scene, &plan, &step.blanket)).0;
+        assert_close(&information, &expected, &answer.scale, 1e-9, "tree information");
+    }
+}
+
+#[test]
+fn trees_of_what_is_relative_are_the_limit_of_the_papers() {
+    for seed in 0..8 {
+        relative_trees::<Pose2, 3>(3, seed);
+        relative_trees::<Pose2, 3>(6, seed);
+        relative_trees::<Pose3, 6>(4, seed);
+    }
+}
+
+/// Equations 5 to 9: each factor holds `Λ' = R⁻ᵀ Λ R⁻¹` of its own term, R the Jacobian of
+/// `(x_1⁻¹, x_1⁻¹ x_2)` at the linearization point.
+#[test]
+fn factors_hold_the_information_in_root_shifted_coordinates() {
+    for seed in 0..8 {
+        let scene = regular(false, 4, seed);
+        let plan = scene.plan(scene.ids()[0], Options::paper());
+        let mut pairs = 0;
+        for (_, factor) in plan.change().new_factors() {
+            let (linear, _) = factor.downcast::<Linear>().unwrap();
+            let own = normal(&scene.stack([&**factor], linear.keys())).0;
+            let mut shift = DMatrix::<f64>::identity(own.nrows(), own.nrows());
+            if let [first, second] = linear.linearization_points() {
+                pairs += 1;
+                let [x, y] = [first, second].map(|value| value.get::<Pose2>().unwrap());
+                // (x Exp(ξ))⁻¹ = x⁻¹ Exp(-Ad(x) ξ); (x Exp(ξ))⁻¹ y = x⁻¹y Exp(-Ad(y⁻¹x) ξ).
+                shift.view_mut((0, 0), (3, 3)).copy_from(&-x.adjoint());
+                shift.view_mut((3, 0), (3, 3)).copy_from(&-y.between(&x).adjoint());
+            }
+            let inverse = shift.try_inverse().unwrap();
+            let expected = inverse.transpose() * own * inverse;
+            let g = linear.sqrt_information();
+            let scale: Vec<f64> = expected.diagonal().iter().map(|x| x.sqrt()).collect();
+            assert_close(&g.tr_mul(g), &expected, &scale, 1e-9, "information");
+            assert_eq!(g.nrows(), rank(g), "(9): as many rows as the rank");
+            assert_eq!(linear.offset().amax(), 0.0, "the measurement is the linearization point");
+        }
+        assert_eq!(pairs, 3);
     }
 }
 

@@ -7,10 +7,12 @@ mod common;
 use common::*;
 use evergraph_factors::{BetweenPose2, Prior, RelativePosition2};
 use evergraph_model::{
-    Graph, GraphError, Key, LieGroup, Manifold, Noise, Point2, Pose2, Value, VariableId,
+    Arguments, Factor, Graph, GraphError, Kernel, Key, LieGroup, Linearization, Manifold, Noise,
+    Point2, Pose2, Robust, Value, VariableId, VariableType,
 };
-use evergraph_removal::{Guard, Options, Order, Rank, Recovery, Removal, RemovalError};
+use evergraph_removal::{Guard, Offset, Options, Order, Rank, Recovery, Removal, RemovalError};
 use evergraph_solver::{Settings, Smoother, SmootherError};
+use nalgebra::DMatrix;
 
 fn sigma() -> Noise {
     Noise::isotropic(3, 0.1).unwrap()
@@ -177,6 +179,224 @@ fn numbers_that_are_not_finite_are_named() {
     let error = with(keys[0].id(), other);
     assert!(matches!(error, RemovalError::EstimateMismatch { .. }), "{error}");
     assert!(Pose2::identity().dim() == 3);
+}
+
+/// A user's factor with whatever numbers; one row on one or two poses.
+#[derive(Debug)]
+struct Odd {
+    keys: Vec<VariableId>,
+    jacobian: f64,
+    residual: f64,
+}
+
+impl Factor for Odd {
+    fn name(&self) -> String {
+        "Odd".into()
+    }
+    fn keys(&self) -> &[VariableId] {
+        &self.keys
+    }
+    fn residual_dim(&self) -> usize {
+        1
+    }
+    fn accepts(&self, _: usize, kind: &VariableType, _: usize) -> bool {
+        kind.is::<Pose2>()
+    }
+    fn residual(&self, _: &Arguments<'_>, out: &mut [f64]) {
+        out[0] = self.residual;
+    }
+    fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
+        self.residual(at, out.residual_mut());
+        for k in 0..self.keys.len() {
+            out.block_mut(k)[0] = self.jacobian;
+        }
+    }
+    fn as_any(&self) -> &dyn std::any::Any {
+        self
+    }
+}
+
+/// The pose between two others, with an odd factor on it or beside it; every way to remove it.
+#[test]
+fn odd_factors_are_named_and_never_become_numbers() {
+    let (inf, nan) = (f64::INFINITY, f64::NAN);
+    for (jacobian, residual) in [
+        (inf, 0.0),
+        (nan, 0.0),
+        (1.0, nan),
+        (1.0, -inf),
+        (1.0, 1e200),
+        (1e200, 1.0),
+        (1e300, 1e-300),
+    ] {
+        for pair in [[0, 1], [0, 2]] {
+            let scene = Scene::of(|change| {
+                let noise = || Noise::isotropic(3, 0.1).unwrap();
+                let poses = [1.0, 0.0, 2.0].map(|x| Pose2::new(x, 0.0, 0.0));
+                let keys = poses.map(|x| change.add_variable(&x));
+                for k in [1, 2] {
+                    let z = poses[0].between(&poses[k]);
+                    change.add_factor(BetweenPose2::new(keys[0], keys[k], z, noise()).unwrap());
+                }
+                let keys = pair.map(|k| keys[k].id()).to_vec();
+                change.add_factor(Odd { keys, jacobian, residual });
+            });
+            let others = [
+                Options { offset: Offset::Zero, ..Options::default() },
+                Options { recovery: Recovery::Nonlinear, ..Options::dense() },
+                Options::isam(),
+            ];
+            for options in keeping().into_iter().chain(others) {
+                let mut joint = |ids: &[VariableId]| {
+                    Ok::<_, String>(DMatrix::identity(3 * ids.len(), 3 * ids.len()))
+                };
+                let result = Removal::new(&scene.graph, &scene.values())
+                    .with_options(options)
+                    .priced_by(&mut joint)
+                    .plan(scene.ids()[0]);
+                match result {
+                    Err(RemovalError::NonFiniteFactor { name, variables, .. }) => {
+                        assert_eq!((name.as_str(), variables.len()), ("Odd", 2));
+                    }
+                    // Finite, but their squares are not.
+                    Err(
+                        RemovalError::NotRepresentable { .. } | RemovalError::Covariance { .. },
+                    ) => {
+                        assert!(jacobian > 1e100 && jacobian.is_finite(), "{jacobian} {residual}");
+                    }
+                    Err(error) => panic!("{error}"),
+                    Ok(plan) => {
+                        assert!(jacobian.is_finite() && residual.is_finite());
+                        assert!(plan.price().unwrap().is_finite() && plan.constant().is_finite());
+                        let blanket = &plan.steps()[0].blanket;
+                        let (j, r) = added(&scene, &plan, blanket);
+                        assert!(j.iter().chain(r.iter()).all(|x| x.is_finite()));
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Two trajectories that have nothing to do with each other, a pose that nobody measures, and a pose
+/// that only its prior holds.
+#[test]
+fn parts_of_a_map_go_by_themselves() {
+    let mut ids = Vec::new();
+    let mut scene = Scene::of(|change| {
+        for part in 0..2 {
+            let poses = [0.0, 1.0, 2.0, 3.0].map(|x| Pose2::new(x, f64::from(part), 0.1));
+            let keys = poses.map(|x| change.add_variable(&x));
+            change.add_factor(Prior::new(keys[0], poses[0], sigma()).unwrap());
+            for k in 1..4 {
+                let z = poses[k - 1].between(&poses[k]);
+                change.add_factor(BetweenPose2::new(keys[k - 1], keys[k], z, sigma()).unwrap());
+            }
+            ids.extend(keys.map(|key| key.id()));
+        }
+        ids.push(change.add_variable(&Pose2::identity()).id());
+        let held = change.add_variable(&Pose2::identity());
+        change.add_factor(Prior::new(held, Pose2::identity(), sigma()).unwrap());
+        ids.push(held.id());
+    });
+    for alone in [ids[8], ids[9]] {
+        let error = Removal::new(&scene.graph, &scene.values()).plan(alone).unwrap_err();
+        let text = error.to_string();
+        assert!(
+            matches!(error, RemovalError::NoBlanket { variable } if variable == alone),
+            "{text}"
+        );
+        assert!(text.contains(&alone.to_string()), "{text}");
+    }
+    // A whole part cannot go, by whatever order; nodes of both parts can, each from its own.
+    for order in [Order::Given, Order::Random(3), Order::MinDegree] {
+        for options in [Options::default(), Options::dense()] {
+            let values = scene.values();
+            let mut removal = Removal::new(&scene.graph, &values).with_options(options);
+            let error = removal.plan_many(&ids[..4], order).unwrap_err();
+            assert!(matches!(error, RemovalError::NoBlanket { .. }), "{error}");
+            let plan = removal.plan_many(&[ids[1], ids[5], ids[2], ids[6]], order).unwrap();
+            for step in plan.steps() {
+                let part = |id: &VariableId| ids.iter().position(|other| other == id).unwrap() / 4;
+                let all: Vec<usize> = step.removed.iter().chain(&step.blanket).map(part).collect();
+                assert!(all.iter().all(|&p| p == all[0]), "{step:?}");
+            }
+            scene.graph.stage(plan.change()).map(|staged| scene.graph.unstage(staged)).unwrap();
+        }
+    }
+}
+
+/// Compounding where a variable hangs on the node by a factor that is too light alone.
+#[test]
+fn composition_beside_a_light_factor_joins_the_others() {
+    let scene = Scene::of(|change| {
+        let poses = [0.0, 1.0, 2.0, 3.0].map(|x| Pose2::new(x, 0.0, 0.0));
+        let keys = poses.map(|x| change.add_variable(&x));
+        let kernel = Kernel::huber(1.0).unwrap();
+        for (k, off) in [(1, 100.0), (2, 0.0), (3, 0.0)] {
+            let z = Pose2::new(poses[k].x() + off, 0.0, 0.0);
+            let factor = BetweenPose2::new(keys[0], keys[k], z, sigma()).unwrap();
+            change.add_factor(Robust::new(factor, kernel));
+        }
+    });
+    let ids = scene.ids();
+    let options = Options { recovery: Recovery::Composition, ..Options::default() };
+    let plan = scene.plan(ids[0], options);
+    let step = &plan.steps()[0];
+    assert_eq!((step.rejected.len(), step.absorbed.len(), step.added.len()), (1, 2, 1));
+    let mut joined = step.added[0].variables.clone();
+    joined.sort_unstable();
+    assert_eq!(joined, [ids[2], ids[3]]);
+}
+
+/// With a least weight of 1 only what a kernel has taken from is left out.
+#[test]
+fn whole_weights_are_whole_to_rounding() {
+    for seed in 0..20 {
+        let scene = neighborhood(Kind::AnyPlane, 4, seed);
+        let options = Options { least_weight: 1.0, ..Options::default() };
+        let plan = scene.plan(scene.ids()[0], options);
+        assert!(plan.steps()[0].rejected.is_empty(), "no factor here is robust");
+    }
+}
+
+/// A smoother, its estimates kept or copied, and a closure: all say the same.
+#[test]
+fn estimates_come_from_anything_that_has_them() {
+    let (mut smoother, keys) = chain(6);
+    let node = keys[2].id();
+    let values = smoother.estimates();
+    let expected = Removal::new(smoother.graph(), &values).plan(node).unwrap();
+    let closure = |id: VariableId| values.value(id).map(|value| value.to_value());
+    let by_closure = Removal::new(smoother.graph(), &closure).plan(node).unwrap();
+    assert_eq!(by_closure.steps(), expected.steps());
+    let direct = Removal::new(smoother.graph(), &smoother).plan(node).unwrap();
+    assert_eq!(direct.steps(), expected.steps());
+    assert_eq!(direct.drift(&smoother).unwrap(), expected.drift(&values).unwrap());
+    let kept = smoother.kept_estimates(0.0);
+    let by_kept = Removal::new(kept.graph(), &kept).plan(node).unwrap();
+    assert_eq!(by_kept.steps(), expected.steps());
+    let (_, foreign) = chain(2);
+    let error = Removal::new(smoother.graph(), &smoother).plan(foreign[0]).unwrap_err();
+    assert!(matches!(error, RemovalError::Graph(GraphError::Foreign { .. })), "{error}");
+}
+
+/// A covariance that is none: indefinite, or not a number.
+#[test]
+fn covariances_that_are_none_are_refused() {
+    let (smoother, keys) = chain(4);
+    for bad in [-1.0, f64::NAN, f64::INFINITY] {
+        let mut joint = |ids: &[VariableId]| {
+            let mut sigma = DMatrix::identity(3 * ids.len(), 3 * ids.len());
+            sigma[(1, 1)] = bad;
+            Ok::<_, String>(sigma)
+        };
+        for order in [Order::Given, Order::MinLoss] {
+            let mut removal = Removal::new(smoother.graph(), &smoother).priced_by(&mut joint);
+            let error = removal.plan_many(&[keys[1].id()], order).unwrap_err();
+            assert!(matches!(error, RemovalError::Covariance { .. }), "{error}");
+        }
+    }
 }
 
 #[test]

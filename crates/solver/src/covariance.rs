@@ -67,6 +67,11 @@ impl Smoother {
 }
 
 impl Covariances<'_> {
+    /// Whose covariances these are.
+    pub fn smoother(&self) -> &Smoother {
+        self.smoother
+    }
+
     /// The marginal covariance of one variable, `dim × dim` in the order of its tangent.
     ///
     /// # Errors

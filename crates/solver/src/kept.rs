@@ -19,6 +19,11 @@ pub struct Estimates<'a> {
 }
 
 impl<'a> Estimates<'a> {
+    /// The graph that they are of.
+    pub fn graph(&self) -> &'a Graph {
+        self.graph
+    }
+
     /// The estimate of a variable.
     ///
     /// # Errors

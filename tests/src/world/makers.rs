@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use evergraph::factors::autodiff::{Number, Parameters, Residual, Transform2, Vector2};
 use evergraph::factors::*;
 use evergraph::model::{
     Factor, Kernel, LieGroup, Noise, Point2, Point3, Pose2, Pose3, Robust, Rot3,
@@ -102,6 +103,28 @@ fn linear(variables: &[Variable], wiggle: &mut Wiggle, shift: RootShift) -> Line
     });
     let offset = DVector::from_vec(wiggle.vector(width, 0.05));
     Linear::new(&points, shift, g, offset).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// A user's own measurement: the range to a mark with the offset and the drift of the clock among
+/// the parameters.
+#[derive(Debug)]
+struct ClockRange {
+    at: f64,
+    range: f64,
+}
+
+impl Residual<1> for ClockRange {
+    type Variables = (Pose2, Point2, Parameters<4>);
+    const NAME: &'static str = "ClockRange";
+
+    fn evaluate<T: Number>(
+        &self,
+        (pose, mark, clock): (Transform2<T>, Vector2<T>, nalgebra::SVector<T, 4>),
+    ) -> [T; 1] {
+        let seen = pose.inverse_transform_point(&mark);
+        let squared = seen.x * seen.x + seen.y * seen.y + 0.01;
+        [squared.sqrt() + clock[1] + clock[3] * self.at - self.range]
+    }
 }
 
 macro_rules! maker {
@@ -209,6 +232,12 @@ pub const MAKERS: &[Maker] = &[
     maker!("HeadingDifference", [Pose3 a x, Pose3 b y], |w| HeadingDifference::new(*a, *b, heading(y) - heading(x) + w.next(0.02), noise(&[0.05]))),
     maker!("TranslationDifference2", [Pose2 a x, Pose2 b y], |w| TranslationDifference2::new(*a, *b, w.near(&p2(y.translation().vector() - x.translation().vector()), 0.02), correlated(2, 0.1))),
     maker!("TranslationDifference3", [Pose3 a x, Pose3 b y], |w| TranslationDifference3::new(*a, *b, w.near(&p3(y.translation().vector() - x.translation().vector()), 0.02), correlated(3, 0.1))),
+    maker!("AutoDiff of a pose, a point and parameters", [Pose2 a x, Point2 b y, Vector c clock], |w| {
+        let at = 0.5 + w.next(0.5);
+        let distance = seen2(x, y).1.hypot(0.1);
+        let range = distance + clock.vector()[1] + clock.vector()[3] * at + w.next(0.02);
+        AutoDiff::new((*a, *b, *c), ClockRange { at, range }, noise(&[0.05]))
+    }),
     linear_maker!("Linear of a pose", [Pose2], RootShift::None),
     linear_maker!("Linear of poses in the plane", [Pose2, Pose2, Pose2], RootShift::Root),
     linear_maker!("Linear of poses in space", [Pose3, Pose3], RootShift::InverseRoot),

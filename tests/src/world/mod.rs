@@ -3,10 +3,12 @@
 mod failures;
 mod makers;
 mod operations;
+mod removals;
 mod variables;
 
 pub use makers::{MAKERS, Maker};
 pub use operations::{Operation, World};
+pub use removals::Removals;
 
 use evergraph::model::{
     Key, Manifold, Point2, Point3, Pose2, Pose3, Rot2, Rot3, Value, VariableId, VectorN,

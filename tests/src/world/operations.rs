@@ -6,7 +6,7 @@ use evergraph::model::{Change, FactorId, Kernel, Key, Pose2};
 use evergraph::solver::{BatchSettings, Elimination, Fluid, Relinearization};
 use evergraph::{Settings, Smoother, SmootherError};
 
-use super::{Kind, MAKERS, Maker, Variable, Wiggle};
+use super::{Kind, MAKERS, Maker, Removals, Variable, Wiggle};
 
 /// What happens next. Numbers choose among what there is, whatever there is.
 #[derive(Clone, Debug)]
@@ -44,6 +44,29 @@ pub enum Operation {
     Replace(usize),
     /// Moves a linearization point.
     Move(usize),
+    /// Removes nodes, keeping what they know (but where asked to lose it).
+    Remove {
+        /// The first of the nodes.
+        which: usize,
+        /// How many, less one.
+        more: u8,
+        /// How.
+        how: u8,
+    },
+    /// Plans a removal, changes something that it read, and applies it.
+    Stale {
+        /// The node.
+        which: usize,
+        /// What changes.
+        how: u8,
+    },
+    /// A removal that cannot be planned.
+    FailRemoval {
+        /// The node.
+        which: usize,
+        /// Why not.
+        how: u8,
+    },
     /// Something that has to be refused.
     Fail(u8),
     /// Relinearizes everything to convergence.
@@ -63,6 +86,8 @@ pub struct World {
     pub(super) wiggle: Wiggle,
     /// How often each of [`MAKERS`] has been applied.
     pub applied: Vec<usize>,
+    /// What removals have done.
+    pub removals: Removals,
     /// Operations refused, as they had to be or for want of information.
     pub refused: usize,
 }
@@ -73,9 +98,18 @@ impl World {
     /// # Panics
     /// When the smoother refuses them.
     pub fn new(elimination: Elimination) -> Self {
+        Self::on_threads(elimination, 1)
+    }
+
+    /// [`new`](Self::new) with a number of threads.
+    ///
+    /// # Panics
+    /// As [`new`](Self::new).
+    pub fn on_threads(elimination: Elimination, threads: usize) -> Self {
         let every = |n| NonZeroU32::new(n).expect("not 0");
         let settings = Settings {
             elimination,
+            threads,
             relinearization: Relinearization {
                 fluid: Some(Fluid { threshold: 0.01, share: 0.4, every: every(3) }),
                 sweep: None,
@@ -92,6 +126,7 @@ impl World {
             stale: None,
             wiggle: Wiggle::default(),
             applied: vec![0; MAKERS.len()],
+            removals: Removals::default(),
             refused: 0,
         };
         for kind in [Kind::Pose2, Kind::Pose3] {
@@ -138,6 +173,9 @@ impl World {
             Operation::DropVariable(which) => self.drop_variable(which),
             Operation::Replace(which) => self.replace(which),
             Operation::Move(which) => self.move_point(which),
+            Operation::Remove { which, more, how } => self.remove(which, more, how),
+            Operation::Stale { which, how } => self.stale_plan(which, how),
+            Operation::FailRemoval { which, how } => self.fail_removal(which, how),
             Operation::Fail(how) => self.fail(how),
             Operation::Relinearize => {
                 let before = self.smoother.fingerprint();
@@ -269,7 +307,7 @@ impl World {
         }
     }
 
-    fn move_point(&mut self, which: usize) {
+    pub(super) fn move_point(&mut self, which: usize) {
         let variable = self.variables[which % self.variables.len()].id();
         let mut change = self.smoother.change();
         let estimate = self.smoother.estimate_value(variable).expect("the variable is there");
@@ -279,7 +317,7 @@ impl World {
     }
 
     /// Applies a change that may be refused for want of information only.
-    fn apply(&mut self, change: Change, what: &str) -> bool {
+    pub(super) fn apply(&mut self, change: Change, what: &str) -> bool {
         let before = self.smoother.fingerprint();
         match self.smoother.apply(change) {
             Ok(report) => {

@@ -147,16 +147,25 @@ fn edges<G: LieGroup<N>, const N: usize>(
         let joins = |e: &&Edge<G, N>| (e.from, e.to) == (a, b) || (e.from, e.to) == (b, a);
         all.iter().filter(joins).map(|e| e.towards(a)).collect()
     };
-    let singular = MakeError::NotFinite("a composed covariance");
+    let singular = || MakeError::NotFinite("a composed covariance");
     let mut factors: Vec<Arc<dyn Factor>> = Vec::new();
     for &(child, parent) in &tree.edges {
         // Members: the node is 0, the blanket comes after it.
         let (child, parent) = (child + 1, parent + 1);
-        let through_node = Edge::merged(&between(parent, 0))
-            .and_then(|to_node| to_node.then(&Edge::merged(&between(0, child))?));
         let mut parallel = between(parent, child);
-        parallel.extend(through_node);
-        let Some(edge) = Edge::merged(&parallel) else { return Err(singular) };
+        let (to_node, from_node) = (between(parent, 0), between(0, child));
+        if !to_node.is_empty() && !from_node.is_empty() {
+            let through_node = Edge::merged(&to_node)
+                .and_then(|to_node| to_node.then(&Edge::merged(&from_node)?))
+                .ok_or_else(singular)?;
+            parallel.push(through_node);
+        }
+        if parallel.is_empty() {
+            // All that joined one of them to the node was too light to be absorbed. Such a variable
+            // is a leaf of the tree, or its root with one child: whatever is known is joined first.
+            continue;
+        }
+        let edge = Edge::merged(&parallel).ok_or_else(singular)?;
         let information = DMatrix::from_column_slice(N, N, edge.information.as_slice());
         let key = |m: usize| overlay.graph.key::<G>(neighborhood.members[m].id);
         let noise = Noise::from_information(&(0.5 * (&information + information.transpose())))?;

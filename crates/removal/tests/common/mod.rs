@@ -1,13 +1,17 @@
-//! Random graphs with factors of every kind, and what a removal should do by plain dense algebra.
+//! What a removal should do, by plain dense algebra, on random graphs.
 // Each test file uses a part of it; what fails here fails a test.
-#![allow(dead_code, clippy::unwrap_used)]
+#![allow(dead_code, unused_imports, clippy::unwrap_used)]
 
-use evergraph_factors::*;
+mod draw;
+mod drive;
+
+pub use draw::{Draw, KINDS, Kind, neighborhood};
+pub use drive::{drive, optimum};
+
+use evergraph_factors::{Linear, Prior};
 use evergraph_model::*;
-use evergraph_removal::{Options, Plan, Removal};
-use nalgebra::{DMatrix, DVector, SVector};
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use evergraph_removal::{Offset, Options, Order, Plan, Recovery, Removal, RootShift, Topology};
+use nalgebra::{DMatrix, DVector};
 
 /// A graph with a point for every variable.
 pub struct Scene {
@@ -90,6 +94,34 @@ impl Scene {
             top += block.nrows();
         }
         (jacobian, DVector::from_vec(residual))
+    }
+
+    /// The same with a map around it: a variable that is known, and that knows something of
+    /// everything but the first variable.
+    pub fn in_a_map(&self, draw: &mut Draw) -> Self {
+        let mut change = self.graph.change();
+        let map = VectorN::zeros(4);
+        let outside = change.add_variable(&map);
+        change.add_factor(Prior::new(outside, map.clone(), draw.noise(4)).unwrap());
+        for &id in &self.ids()[1..] {
+            let value = self.values().value(id).unwrap().to_value();
+            let width = value.dim() + 4;
+            let rows = DMatrix::from_fn(value.dim(), width, |i, j| {
+                draw.number(0.5) + if i == j { 1.0 } else { 0.0 }
+            });
+            let offset = DVector::from_fn(width, |_, _| draw.number(0.05));
+            let ends = [(id, value), (outside.id(), Value::new(&map))];
+            change.add_factor(Linear::new(&ends, RootShift::None, rows, offset).unwrap());
+        }
+        let mut graph = self.graph.clone();
+        let staged = graph.stage(&change).unwrap();
+        graph.commit(staged);
+        let mut data = vec![0.0; graph.value_len()];
+        for id in self.graph.variables() {
+            let value = self.values().value(id).unwrap().to_value();
+            data[graph.value_range(id.index())].copy_from_slice(value.storage());
+        }
+        Self { graph, data }
     }
 
     /// The factors of the paper's `Z_m`: on the removed nodes and their blanket only.
@@ -206,237 +238,75 @@ pub fn rank(stack: &DMatrix<f64>) -> usize {
     scaled.singular_values().iter().filter(|s| **s > 1e-9).count()
 }
 
-/// Draws for random graphs.
-pub struct Draw(pub ChaCha8Rng);
-
-impl Draw {
-    pub fn new(seed: u64) -> Self {
-        Self(ChaCha8Rng::seed_from_u64(seed))
+pub fn scene(graph: &Graph, values: &Values) -> Scene {
+    let mut data = vec![0.0; graph.value_len()];
+    for id in graph.variables() {
+        data[graph.value_range(id.index())].copy_from_slice(values.value(id).unwrap().storage());
     }
-
-    pub fn number(&mut self, size: f64) -> f64 {
-        self.0.random_range(-size..size)
-    }
-
-    pub fn below(&mut self, n: usize) -> usize {
-        self.0.random_range(0..n)
-    }
-
-    pub fn vector<const N: usize>(&mut self, size: f64) -> SVector<f64, N> {
-        SVector::from_fn(|_, _| self.number(size))
-    }
-
-    pub fn pose2(&mut self) -> Pose2 {
-        let [x, y, theta] = [8.0, 8.0, 3.0].map(|size| self.number(size));
-        Pose2::new(x, y, theta)
-    }
-
-    pub fn pose3(&mut self) -> Pose3 {
-        let mut d = self.vector::<6>(6.0);
-        for k in 3..6 {
-            d[k] *= 0.25;
-        }
-        Pose3::exp(&d)
-    }
-
-    /// A full noise with sigmas of quite different size.
-    pub fn noise(&mut self, n: usize) -> Noise {
-        let root = DMatrix::from_fn(n, n, |i, j| match i.cmp(&j) {
-            std::cmp::Ordering::Less => self.number(3.0),
-            std::cmp::Ordering::Equal => 5.0 + self.number(4.0),
-            std::cmp::Ordering::Greater => 0.0,
-        });
-        Noise::from_sqrt_information(&root).unwrap()
-    }
+    Scene { graph: graph.clone(), data }
 }
 
-/// What a random neighborhood is made of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// Full relative poses in the plane.
-    Plane,
-    /// Full relative poses in space.
-    Space,
-    /// Poses and points in the plane, all relative, of any rank.
-    RelativePlane,
-    /// Anything in the plane.
-    AnyPlane,
-    /// Anything in space.
-    AnySpace,
-    /// Poses in the plane and in space.
-    Mixed,
+/// The scene with a plan applied.
+pub fn reduced(scene: &Scene, plan: &Plan) -> Scene {
+    let mut graph = scene.graph.clone();
+    let staged = graph.stage(plan.change()).unwrap();
+    graph.commit(staged);
+    Scene { graph, data: scene.data.clone() }
 }
 
-pub const KINDS: [Kind; 6] =
-    [Kind::Plane, Kind::Space, Kind::RelativePlane, Kind::AnyPlane, Kind::AnySpace, Kind::Mixed];
-
-/// A node (the first variable) with `count` others around it; every factor is on it or on two of
-/// the others, and a few intra-clique ones close loops.
-pub fn neighborhood(kind: Kind, count: usize, seed: u64) -> Scene {
-    let mut draw = Draw::new(seed);
-    Scene::of(|change| match kind {
-        Kind::Plane => {
-            let values: Vec<Pose2> = (0..=count).map(|_| draw.pose2()).collect();
-            let keys: Vec<Key<Pose2>> = values.iter().map(|x| change.add_variable(x)).collect();
-            for (i, j) in pairs(count, &mut draw) {
-                between2(change, &mut draw, (keys[i], values[i]), (keys[j], values[j]));
-            }
-        }
-        Kind::Space => {
-            let values: Vec<Pose3> = (0..=count).map(|_| draw.pose3()).collect();
-            let keys: Vec<Key<Pose3>> = values.iter().map(|x| change.add_variable(x)).collect();
-            for (i, j) in pairs(count, &mut draw) {
-                between3(change, &mut draw, (keys[i], values[i]), (keys[j], values[j]));
-            }
-        }
-        Kind::RelativePlane | Kind::AnyPlane => plane(change, &mut draw, kind, count),
-        Kind::AnySpace => space(change, &mut draw, count),
-        Kind::Mixed => mixed(change, &mut draw, count),
-    })
+pub fn system(scene: &Scene, order: &[VariableId]) -> (DMatrix<f64>, DVector<f64>) {
+    normal(&scene.stack(scene.graph.factors().map(|(_, f)| f), order))
 }
 
-/// The node with each other, and some of the others with each other.
-fn pairs(count: usize, draw: &mut Draw) -> Vec<(usize, usize)> {
-    let mut pairs: Vec<(usize, usize)> = (1..=count).map(|k| (0, k)).collect();
-    for _ in 0..draw.below(count + 1) {
-        let (i, j) = (1 + draw.below(count), 1 + draw.below(count));
-        if i != j {
-            pairs.push((i, j));
-        }
-    }
-    pairs
+/// The marginal covariance over `kept`, and the mean's shift from the estimate.
+pub fn marginal(scene: &Scene, kept: &[VariableId]) -> (DMatrix<f64>, DVector<f64>) {
+    let ids = scene.ids();
+    let others = ids.iter().filter(|id| !kept.contains(id));
+    let order: Vec<VariableId> = kept.iter().chain(others).copied().collect();
+    let (lambda, eta) = system(scene, &order);
+    let sigma = lambda.cholesky().unwrap().inverse();
+    let dim: usize = kept.iter().map(|id| scene.graph.dim_at(id.index())).sum();
+    let mean = &sigma * eta;
+    (sigma.view((0, 0), (dim, dim)).into_owned(), mean.rows(0, dim).into_owned())
 }
 
-fn between2(
-    change: &mut Change,
-    draw: &mut Draw,
-    (i, from): (Key<Pose2>, Pose2),
-    (j, to): (Key<Pose2>, Pose2),
-) {
-    let z = from.between(&to).compose(&Pose2::exp(&draw.vector(0.03)));
-    change.add_factor(Between::new(i, j, z, draw.noise(3)).unwrap());
+/// Kullback-Leibler divergence of `q` from `p`, by its definition.
+pub fn divergence(p: &(DMatrix<f64>, DVector<f64>), q: &(DMatrix<f64>, DVector<f64>)) -> f64 {
+    let inverse = q.0.clone().cholesky().unwrap().inverse();
+    let log_det =
+        |m: &DMatrix<f64>| 2.0 * m.clone().cholesky().unwrap().l().diagonal().map(f64::ln).sum();
+    let shift = &q.1 - &p.1;
+    0.5 * ((&inverse * &p.0).trace() - p.0.nrows() as f64
+        + shift.dot(&(&inverse * &shift))
+        + log_det(&q.0)
+        - log_det(&p.0))
 }
 
-fn between3(
-    change: &mut Change,
-    draw: &mut Draw,
-    (i, from): (Key<Pose3>, Pose3),
-    (j, to): (Key<Pose3>, Pose3),
-) {
-    let z = from.between(&to).compose(&Pose3::exp(&draw.vector(0.03)));
-    change.add_factor(Between::new(i, j, z, draw.noise(6)).unwrap());
+pub fn priced(scene: &Scene, nodes: &[VariableId], order: Order, options: Options) -> Plan {
+    let mut joint = |ids: &[VariableId]| Ok::<_, String>(marginal(scene, ids).0);
+    Removal::new(&scene.graph, &scene.values())
+        .with_options(options)
+        .priced_by(&mut joint)
+        .plan_many(nodes, order)
+        .unwrap()
 }
 
-fn plane(change: &mut Change, draw: &mut Draw, kind: Kind, count: usize) {
-    let values: Vec<Pose2> = (0..=count).map(|_| draw.pose2()).collect();
-    let keys: Vec<Key<Pose2>> = values.iter().map(|x| change.add_variable(x)).collect();
-    let point = Point2::new(draw.number(8.0), draw.number(8.0));
-    let landmark = change.add_variable(&point);
-    let local = |x: &Pose2| x.inverse_transform_point(&point);
-    change.add_factor(
-        RelativePosition2::new(keys[0], landmark, local(&values[0]), draw.noise(2)).unwrap(),
-    );
-    let mut known = false;
-    for (i, j) in pairs(count, draw) {
-        let ((ki, xi), (kj, xj)) = ((keys[i], values[i]), (keys[j], values[j]));
-        let distance = (xj.translation().vector() - xi.translation().vector()).norm();
-        match draw.below(6) {
-            0 | 1 => between2(change, draw, (ki, xi), (kj, xj)),
-            2 => {
-                let z = (distance + draw.number(0.1)).abs();
-                change.add_factor(Range::new(ki, kj, z, draw.noise(1)).unwrap());
-            }
-            3 => {
-                let seen = xi.inverse_transform_point(&xj.translation());
-                let angle = seen.y().atan2(seen.x()) + draw.number(0.05);
-                change.add_factor(Bearing2::new(ki, kj, angle, draw.noise(1)).unwrap());
-            }
-            4 => {
-                let z = xi.between(&xj);
-                change.add_factor(
-                    PartialBetweenPose2::new(ki, kj, z, &[0, 2], draw.noise(2)).unwrap(),
-                );
-            }
-            _ if kind == Kind::AnyPlane => {
-                known = true;
-                let z = Point2::new(xi.x() + draw.number(0.2), xi.y());
-                change.add_factor(
-                    GpsPosition2::with_lever_arm(ki, z, Point2::new(0.3, 0.1), draw.noise(2))
-                        .unwrap(),
-                );
-                change.add_factor(Heading2::new(kj, xj.theta(), draw.noise(1)).unwrap());
-                between2(change, draw, (ki, xi), (kj, xj));
-            }
-            _ => between2(change, draw, (ki, xi), (kj, xj)),
-        }
-        if draw.below(3) == 0 {
-            let z = (local(&xj).vector()).norm();
-            change.add_factor(Range::new(kj, landmark, z, draw.noise(1)).unwrap());
-        }
-    }
-    if kind == Kind::AnyPlane && !known && draw.below(2) == 0 {
-        let z = values[1].compose(&Pose2::exp(&draw.vector(0.03)));
-        change.add_factor(Prior::new(keys[1], z, draw.noise(3)).unwrap());
-    }
+/// Ways that keep both the gradient and every direction.
+pub fn keeping() -> [Options; 5] {
+    [
+        Options::default(),
+        Options::dense(),
+        Options { recovery: Recovery::Nonlinear, ..Options::default() },
+        Options { root_shift: RootShift::InverseRoot, ..Options::default() },
+        Options { intra_clique: false, ..Options::default() },
+    ]
 }
 
-fn space(change: &mut Change, draw: &mut Draw, count: usize) {
-    let values: Vec<Pose3> = (0..=count).map(|_| draw.pose3()).collect();
-    let keys: Vec<Key<Pose3>> = values.iter().map(|x| change.add_variable(x)).collect();
-    let point = Point3::new(draw.number(8.0), draw.number(8.0), draw.number(8.0));
-    let landmark = change.add_variable(&point);
-    let local = |x: &Pose3| x.inverse_transform_point(&point);
-    change.add_factor(
-        Bearing3::new(keys[0], landmark, local(&values[0]).vector(), draw.noise(2)).unwrap(),
-    );
-    for (i, j) in pairs(count, draw) {
-        let ((ki, xi), (kj, xj)) = ((keys[i], values[i]), (keys[j], values[j]));
-        match draw.below(7) {
-            0..=2 => between3(change, draw, (ki, xi), (kj, xj)),
-            3 => {
-                change.add_factor(
-                    RelativePosition3::new(kj, landmark, local(&xj), draw.noise(3)).unwrap(),
-                );
-                between3(change, draw, (ki, xi), (kj, xj));
-            }
-            4 => {
-                let z = (xj.translation().vector() - xi.translation().vector()).norm();
-                change.add_factor(Range::new(ki, kj, z, draw.noise(1)).unwrap());
-            }
-            5 => {
-                change
-                    .add_factor(Depth::new(kj, xj.z() + draw.number(0.1), draw.noise(1)).unwrap());
-                change.add_factor(
-                    DepthDifference::new(ki, kj, xj.z() - xi.z(), draw.noise(1)).unwrap(),
-                );
-            }
-            _ => {
-                let z = Point3::new(xj.x(), xj.y() + draw.number(0.1), xj.z());
-                let lever = Point3::new(0.2, 0.0, -0.1);
-                change
-                    .add_factor(GpsPosition3::with_lever_arm(kj, z, lever, draw.noise(3)).unwrap());
-                between3(change, draw, (ki, xi), (kj, xj));
-            }
-        }
-    }
-}
-
-/// Poses of both kinds around a pose in the plane, joined by linear factors.
-fn mixed(change: &mut Change, draw: &mut Draw, count: usize) {
-    let values: Vec<Pose2> = (0..=count).map(|_| draw.pose2()).collect();
-    let keys: Vec<Key<Pose2>> = values.iter().map(|x| change.add_variable(x)).collect();
-    for (i, j) in pairs(count, draw) {
-        between2(change, draw, (keys[i], values[i]), (keys[j], values[j]));
-    }
-    let above: Vec<Pose3> = (0..2).map(|_| draw.pose3()).collect();
-    let others: Vec<Key<Pose3>> = above.iter().map(|x| change.add_variable(x)).collect();
-    between3(change, draw, (others[0], above[0]), (others[1], above[1]));
-    for (k, other) in others.iter().enumerate() {
-        let rows = 2 + draw.below(4);
-        let root = DMatrix::from_fn(rows, 9, |_, _| draw.number(4.0));
-        let offset = DVector::from_fn(9, |_, _| draw.number(0.05));
-        let variables =
-            [(keys[0].id(), Value::new(&values[0])), (other.id(), Value::new(&above[k]))];
-        change.add_factor(Linear::new(&variables, RootShift::None, root, offset).unwrap());
-    }
-}
+/// The kinds of plans that differ in their books.
+pub const VARIANTS: [(Topology, Recovery, Offset); 5] = [
+    (Topology::Dense, Recovery::Glc, Offset::KeepGradient),
+    (Topology::ChowLiu, Recovery::Glc, Offset::KeepGradient),
+    (Topology::ChowLiu, Recovery::Nonlinear, Offset::KeepGradient),
+    (Topology::ChowLiu, Recovery::Glc, Offset::Zero),
+    (Topology::ChowLiu, Recovery::Composition, Offset::KeepGradient),
+];

@@ -1,0 +1,29 @@
+//! Estimates and covariances straight from a smoother.
+
+use evergraph_model::{GraphError, Value, VariableId};
+use evergraph_solver::{Covariances, Smoother};
+use nalgebra::DMatrix;
+
+use crate::overlay::Estimates;
+use crate::price::Covariance;
+
+/// Back-substituted for what is asked only: right for a few nodes of a large map. For many nodes
+/// [`Smoother::estimates`] or [`Smoother::kept_estimates`] cost less.
+impl Estimates for Smoother {
+    fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
+        self.graph().check_variable(variable)?;
+        self.estimate_value(variable).map_err(|_| GraphError::UnknownVariable { variable })
+    }
+}
+
+impl Estimates for evergraph_solver::Estimates<'_> {
+    fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
+        self.value(variable).map(|value| value.to_value())
+    }
+}
+
+impl Covariance for Covariances<'_> {
+    fn joint(&mut self, variables: &[VariableId]) -> Result<DMatrix<f64>, String> {
+        Covariances::joint(self, variables).map_err(|error| error.to_string())
+    }
+}

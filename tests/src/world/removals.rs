@@ -1,0 +1,357 @@
+//! Nodes removed from a world, each removal held against dense algebra, and removals that have to be
+//! refused.
+
+use evergraph::factors::RootShift;
+use evergraph::model::{Graph, GraphError, Key, LieGroup, Pose2, Value, Values, VariableId};
+use evergraph::removal::{
+    Guard, Offset, Options, Order, Plan, Recovery, Removal, RemovalError, Step, Topology,
+};
+use evergraph::{Settings, Smoother, SmootherError};
+use nalgebra::{DMatrix, DVector};
+
+use super::{Variable, World};
+
+/// What removals have done in a world, so that a test can tell that it tested something.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Removals {
+    /// Nodes that are gone.
+    pub nodes: usize,
+    /// Steps whose target had a lower rank than its blanket has dimensions.
+    pub deficient: usize,
+    /// Steps that did not take the form that was asked for.
+    pub fallbacks: usize,
+    /// Plans refused as stale.
+    pub stale: usize,
+    /// Removals that could not be planned.
+    pub refused: usize,
+    /// Removals that lost what they were asked to lose, and so more than the map could do without.
+    pub lost: usize,
+}
+
+impl std::ops::AddAssign for Removals {
+    fn add_assign(&mut self, other: Self) {
+        self.nodes += other.nodes;
+        self.deficient += other.deficient;
+        self.fallbacks += other.fallbacks;
+        self.stale += other.stale;
+        self.refused += other.refused;
+        self.lost += other.lost;
+    }
+}
+
+/// All ways to remove, with the order.
+fn ways(how: u8) -> (Options, Order) {
+    let tree = Options { least_weight: 0.0, ..Options::default() };
+    let dense = Options { topology: Topology::Dense, ..tree };
+    let nonlinear = Options { recovery: Recovery::Nonlinear, ..tree };
+    let ways = [
+        tree,
+        dense,
+        nonlinear,
+        Options { root_shift: RootShift::InverseRoot, ..tree },
+        Options { root_shift: RootShift::None, ..dense },
+        Options { intra_clique: false, ..tree },
+        Options { intra_clique: false, ..dense },
+        Options { guard: Guard { rotation: 1e-3, mahalanobis: 0.1 }, ..nonlinear },
+        Options { least_weight: 0.0, ..Options::paper() },
+        Options { least_weight: 0.0, ..Options::isam() },
+        Options { recovery: Recovery::Composition, ..tree },
+        Options { recovery: Recovery::Drop, ..tree },
+    ];
+    let orders = [Order::Given, Order::MinDegree, Order::Random(u64::from(how)), Order::MinLoss];
+    let how = usize::from(how);
+    (ways[how % ways.len()], orders[how / ways.len() % orders.len()])
+}
+
+/// Whether what is known stays known, by the options.
+fn keeps(options: &Options) -> bool {
+    matches!(options.recovery, Recovery::Glc | Recovery::Nonlinear)
+        && options.offset == Offset::KeepGradient
+}
+
+impl World {
+    fn node(&self, which: usize) -> VariableId {
+        self.variables[which % self.variables.len()].id()
+    }
+
+    fn plan(
+        &self,
+        nodes: &[VariableId],
+        options: Options,
+        order: Order,
+    ) -> Result<Plan, RemovalError> {
+        let mut covariances = self.smoother.covariances();
+        let mut removal = Removal::new(self.smoother.graph(), &self.smoother).with_options(options);
+        if order == Order::MinLoss {
+            removal = removal.priced_by(&mut covariances);
+        }
+        removal.plan_many(nodes, order)
+    }
+
+    /// Removes nodes, and compares the information and the gradient of what is kept with those of
+    /// the full graph, the nodes eliminated.
+    pub(super) fn remove(&mut self, which: usize, more: u8, how: u8) {
+        let (options, order) = ways(how);
+        let count = (1 + usize::from(more) % 4).min(self.variables.len());
+        let mut nodes: Vec<VariableId> = (0..count).map(|k| self.node(which % 97 + k)).collect();
+        let before = self.smoother.fingerprint();
+        let mut plan = self.plan(&nodes, options, order);
+        while let (Err(RemovalError::NoBlanket { variable }), true) = (&plan, nodes.len() > 1) {
+            // The others perhaps.
+            nodes.retain(|node| node != variable);
+            plan = self.plan(&nodes, options, order);
+        }
+        let plan = match plan {
+            Ok(plan) => plan,
+            Err(error) => {
+                let expected = match error {
+                    RemovalError::NoBlanket { .. } | RemovalError::LastPose { .. } => true,
+                    RemovalError::NotComposable { .. } | RemovalError::NotRepresentable { .. } => {
+                        options.recovery == Recovery::Composition
+                    }
+                    // A map that knows something next to nothing only.
+                    RemovalError::Covariance { .. } => order == Order::MinLoss,
+                    _ => false,
+                };
+                assert!(expected, "{options:?} {order:?}: {error}");
+                self.removals.refused += 1;
+                return;
+            }
+        };
+        let (graph, estimates) = (self.smoother.graph().clone(), self.smoother.estimates());
+        match self.smoother.apply(plan.change().clone()) {
+            Ok(_) => self.removals.nodes += nodes.len(),
+            Err(error) => {
+                // What must not be lost is not, so that only a loss that was asked for can do this.
+                let lost = matches!(error, SmootherError::Singular(_));
+                assert!(lost && !keeps(&options), "{options:?}: {error}");
+                assert_eq!(self.smoother.fingerprint(), before, "a refusal alters nothing");
+                self.removals.lost += 1;
+                return;
+            }
+        }
+        for step in plan.steps() {
+            let dim: usize = step.blanket.iter().map(|id| graph.dim_at(id.index())).sum();
+            self.removals.deficient += usize::from(step.rank < dim);
+            self.removals.fallbacks += usize::from(step.fallback.is_some());
+        }
+        if keeps(&options) {
+            let what = format!("{options:?} {order:?}: {:?}", plan.steps());
+            let (before, after) = (At(&graph, &estimates), At(self.smoother.graph(), &estimates));
+            if options.topology == Topology::Dense {
+                before.check(&nodes, after, true, &what);
+            } else {
+                one_by_one(before, plan.steps(), options, after, &what);
+            }
+        }
+        self.forget(&nodes);
+    }
+
+    fn forget(&mut self, nodes: &[VariableId]) {
+        for variable in &self.variables {
+            if let (Variable::Pose2(key, _), true) = (variable, nodes.contains(&variable.id())) {
+                self.stale = Some(*key);
+            }
+        }
+        self.variables.retain(|variable| !nodes.contains(&variable.id()));
+    }
+
+    /// A plan that something has overtaken is refused, and leaves every bit.
+    pub(super) fn stale_plan(&mut self, which: usize, how: u8) {
+        let node = self.node(which);
+        let Ok(plan) = self.plan(&[node], ways(how).0, Order::Given) else { return };
+        let blanket = plan.steps()[0].blanket.clone();
+        let Some(&neighbor) = blanket.get(usize::from(how) % blanket.len().max(1)) else { return };
+        let place = |id| self.variables.iter().position(|v| v.id() == id).expect("it is there");
+        let applied = self.smoother.steps();
+        match how / 64 {
+            // A linearization point moves: of the node or of a neighbour.
+            0 => self.move_point(place(neighbor)),
+            1 => self.move_point(place(node)),
+            // A factor comes in.
+            2 => {
+                let variable = self.variables[place(neighbor)].clone();
+                let prior = super::MAKERS.iter().find(|m| m.kinds == [variable.kind()]);
+                let factor = prior.expect("there is one for every kind").make(
+                    std::slice::from_ref(&variable),
+                    &mut self.wiggle,
+                    None,
+                );
+                let mut change = self.smoother.change();
+                change.add_shared_factor(factor);
+                self.apply(change, "a factor beside a plan");
+            }
+            // The same removal.
+            _ => {
+                if self.smoother.apply(plan.change().clone()).is_ok() {
+                    self.forget(&[node]);
+                }
+            }
+        }
+        if self.smoother.steps() == applied {
+            return;
+        }
+        let before = self.smoother.fingerprint();
+        let error = match self.smoother.apply(plan.into_change()) {
+            Ok(_) => panic!("a stale plan was applied"),
+            Err(error) => error,
+        };
+        let expected = matches!(
+            error,
+            SmootherError::Graph(GraphError::Stale { .. } | GraphError::UnknownVariable { .. })
+        );
+        assert!(expected, "{error}");
+        assert_eq!(self.smoother.fingerprint(), before, "a stale plan left something behind");
+        self.removals.stale += 1;
+    }
+
+    /// What cannot be planned says why. (A plan reads only: there is nothing that it could alter.)
+    pub(super) fn fail_removal(&mut self, which: usize, how: u8) {
+        let node = self.node(which);
+        let estimates = self.smoother.estimates();
+        let nan = |id: VariableId| -> Result<Value, GraphError> {
+            let value = estimates.value(id)?.to_value();
+            let step = vec![f64::NAN; value.dim()];
+            Ok(value.retract(&step).expect("the step has its dimension"))
+        };
+        let default = Options::default();
+        let plan = |nodes: &[VariableId], options| {
+            let result = self.plan(nodes, options, Order::Given);
+            result.err().unwrap_or_else(|| panic!("failure {} was planned", how % 7))
+        };
+        let foreign: Key<Pose2> = {
+            let other = Smoother::new(Settings::default()).expect("sound settings");
+            other.change().add_variable(&Pose2::identity())
+        };
+        let expected = match how % 7 {
+            0 => matches!(plan(&[], default), RemovalError::Nothing),
+            1 => matches!(plan(&[node, node], default), RemovalError::Twice { .. }),
+            2 => matches!(
+                plan(&[node, foreign.id()], default),
+                RemovalError::Graph(GraphError::Foreign { .. })
+            ),
+            3 => self.stale.is_none_or(|stale| {
+                let error = plan(&[stale.id()], default);
+                matches!(error, RemovalError::Graph(GraphError::UnknownVariable { .. }))
+            }),
+            4 => {
+                let guard = Guard { rotation: f64::NAN, ..Guard::default() };
+                matches!(plan(&[node], Options { guard, ..default }), RemovalError::Option { .. })
+            }
+            5 => {
+                let all: Vec<VariableId> = self.variables.iter().map(Variable::id).collect();
+                let error = plan(&all, default);
+                matches!(error, RemovalError::LastPose { .. } | RemovalError::NoBlanket { .. })
+            }
+            _ => {
+                let error = Removal::new(self.smoother.graph(), &nan).plan(node);
+                matches!(
+                    error,
+                    Err(RemovalError::NonFiniteEstimate { .. }
+                        | RemovalError::NoBlanket { .. }
+                        | RemovalError::LastPose { .. })
+                )
+            }
+        };
+        assert!(expected, "failure {}", how % 7);
+        self.removals.refused += 1;
+    }
+}
+
+/// A graph at some estimates.
+#[derive(Clone, Copy)]
+struct At<'a>(&'a Graph, &'a Values);
+
+/// Trees are put in the place of nodes one after the other, as if each step of the plan had been
+/// applied before the next was planned; each keeps the gradient.
+fn one_by_one(before: At<'_>, steps: &[Step], options: Options, after: At<'_>, what: &str) {
+    let estimates = before.1;
+    let mut graph = before.0.clone();
+    for step in steps {
+        let plan = Removal::new(&graph, estimates).with_options(options).plan(step.removed[0]);
+        let plan = plan.unwrap_or_else(|error| panic!("{what}: {error}"));
+        let mut next = graph.clone();
+        let staged = next.stage(plan.change()).unwrap_or_else(|error| panic!("{what}: {error}"));
+        next.commit(staged);
+        let exact = plan.steps()[0].topology == Topology::Dense;
+        At(&graph, estimates).check(&step.removed, At(&next, estimates), exact, what);
+        graph = next;
+    }
+    At(&graph, estimates).check(&[], after, true, what);
+}
+
+impl At<'_> {
+    /// `[J | r]`, the variables in `order`.
+    fn stack(self, order: &[VariableId]) -> (DMatrix<f64>, DVector<f64>) {
+        let Self(graph, estimates) = self;
+        let mut points = vec![0.0; graph.value_len()];
+        let mut first = vec![0; graph.variable_slots()];
+        let mut width = 0;
+        for &id in order {
+            let value = estimates.value(id).expect("it was there");
+            points[graph.value_range(id.index())].copy_from_slice(value.storage());
+            first[id.index()] = width;
+            width += graph.dim_at(id.index());
+        }
+        let count = graph.factor_indices().map(|f| graph.rows_at(f)).sum();
+        let (mut jacobian, mut residual) = (DMatrix::zeros(count, width), DVector::zeros(count));
+        let mut top = 0;
+        for f in graph.factor_indices() {
+            let mut block = vec![0.0; graph.linearization_len(f)];
+            graph.linearize(f, &points, &mut block);
+            let (rows, columns) = (graph.rows_at(f), graph.columns_at(f));
+            let block = DMatrix::from_vec(rows, block.len() / rows, block);
+            for (k, &v) in graph.variables_at(f).iter().enumerate() {
+                let (start, end) = (columns[k] as usize, columns[k + 1] as usize);
+                jacobian
+                    .view_mut((top, first[v as usize]), (rows, end - start))
+                    .copy_from(&block.columns(start, end - start));
+            }
+            residual.rows_mut(top, rows).copy_from(&block.column(block.ncols() - 1));
+            top += rows;
+        }
+        (jacobian, residual)
+    }
+
+    /// Holds a graph without the variables `gone` against this one: the gradient of the others,
+    /// and if `exact` their information, are those of this graph with `gone` eliminated, `J_k` and
+    /// `r` less their parts in the range of `J_m`.
+    fn check(self, gone: &[VariableId], reduced: At<'_>, exact: bool, what: &str) {
+        let kept: Vec<VariableId> = self.0.variables().filter(|id| !gone.contains(id)).collect();
+        let order: Vec<VariableId> = gone.iter().chain(&kept).copied().collect();
+        let width: usize = gone.iter().map(|id| self.0.dim_at(id.index())).sum();
+        let (jacobian, mut left) = self.stack(&order);
+        let mut rest = jacobian.columns(width, jacobian.ncols() - width).into_owned();
+        let scale: Vec<f64> = rest.column_iter().map(|column| column.norm()).collect();
+        let floor = 1e-3 * scale.iter().copied().fold(0.0, f64::max);
+        let scale: Vec<f64> = scale.into_iter().map(|s| s.max(floor)).collect();
+        let size = left.norm().max(1.0);
+        if width > 0 {
+            let mut of_nodes = jacobian.columns(0, width).into_owned();
+            of_nodes.column_iter_mut().for_each(|mut column| {
+                column.normalize_mut();
+            });
+            let q = of_nodes.qr().q();
+            // Twice, so that nothing is left in the range.
+            for _ in 0..2 {
+                rest -= &q * q.tr_mul(&rest);
+                left -= &q * q.tr_mul(&left);
+            }
+        }
+        let (new, new_residual) = reduced.stack(&kept);
+        let (expected, found) = (rest.tr_mul(&left), new.tr_mul(&new_residual));
+        for (i, s) in scale.iter().enumerate() {
+            let off = (expected[i] - found[i]).abs();
+            assert!(off <= 1e-9 * s * size, "{what}: gradient {i} is off by {off:e}");
+        }
+        if exact {
+            let (expected, found) = (rest.tr_mul(&rest), new.tr_mul(&new));
+            for (i, s) in scale.iter().enumerate() {
+                for (j, t) in scale.iter().enumerate() {
+                    let off = (expected[(i, j)] - found[(i, j)]).abs();
+                    assert!(off <= 1e-9 * s * t, "{what}: information ({i}, {j}) off by {off:e}");
+                }
+            }
+        }
+    }
+}
