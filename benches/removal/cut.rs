@@ -98,6 +98,7 @@ impl Cut {
         let nodes: Vec<VariableId> = self.nodes.iter().map(|id| variable[id]).collect();
         let rules = Rules {
             order: Order::Given,
+            at_most: nodes.len(),
             options: *options,
             spared: &gauge(&reduced),
             prices: false,

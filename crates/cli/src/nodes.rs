@@ -9,7 +9,6 @@ use clap::Args;
 use evergraph::Replayer;
 use evergraph::formats::spell_id;
 use evergraph::model::VariableId;
-use evergraph::removal::shuffled;
 
 use crate::error::Error;
 
@@ -17,8 +16,8 @@ use crate::error::Error;
 #[derive(Args, Clone, Debug)]
 #[group(required = true, multiple = false)]
 pub(crate) struct Choice {
-    /// This share of all variables, landmarks included, but the pose that holds the gauge; chosen at
-    /// random
+    /// This share of all variables, landmarks included, but the pose that holds the gauge; --order says
+    /// which
     #[arg(long, value_name = "SHARE", allow_negative_numbers = true, value_parser = share)]
     pub fraction: Option<f64>,
     /// All poses but each K-th in the order of the file, the first included; landmarks stay
@@ -36,34 +35,42 @@ fn share(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Who can go.
+pub(crate) struct Candidates {
+    /// In the order in which the choice names them: of the file, or of the list.
+    pub nodes: Vec<VariableId>,
+    /// How many of them go.
+    pub count: usize,
+}
+
 impl Choice {
-    /// The nodes in the order in which the choice names them: of the file, or of the list.
-    pub(crate) fn nodes(&self, replayer: &Replayer, seed: u64) -> Result<Vec<VariableId>, Error> {
+    /// Who can go, and how many of them.
+    pub(crate) fn candidates(&self, replayer: &Replayer) -> Result<Candidates, Error> {
         let replay = replayer.replay();
         let is_gauge = |variable| replay.gauge_priors().iter().any(|it| it.variable == variable);
         if let Some(path) = &self.nodes {
-            return read_list(path, replayer, is_gauge);
+            let nodes = read_list(path, replayer, is_gauge)?;
+            return Ok(Candidates { count: nodes.len(), nodes });
         }
         let all: Vec<(u64, VariableId)> = replay.ids().collect();
-        let nodes: Vec<VariableId> = if let Some(every) = self.keep_every {
+        let (nodes, count): (Vec<VariableId>, _) = if let Some(every) = self.keep_every {
             let poses = all.iter().filter(|(id, variable)| replay.pose(*id) == Some(*variable));
             let gone = poses.enumerate().filter(|(place, _)| *place % every != 0);
-            gone.map(|(_, (_, variable))| *variable).filter(|it| !is_gauge(*it)).collect()
+            let nodes: Vec<VariableId> =
+                gone.map(|(_, (_, variable))| *variable).filter(|it| !is_gauge(*it)).collect();
+            let count = nodes.len();
+            (nodes, count)
         } else {
-            let free: Vec<VariableId> =
+            let nodes: Vec<VariableId> =
                 all.iter().map(|(_, variable)| *variable).filter(|it| !is_gauge(*it)).collect();
-            let count = (self.fraction.unwrap_or(0.0) * free.len() as f64).round() as usize;
-            let places: HashMap<VariableId, usize> = free.iter().copied().zip(0..).collect();
-            let mut chosen = shuffled(&free, seed);
-            chosen.truncate(count);
-            chosen.sort_by_key(|variable| places[variable]);
-            chosen
+            let count = (self.fraction.unwrap_or(0.0) * nodes.len() as f64).round() as usize;
+            (nodes, count)
         };
-        if nodes.is_empty() {
+        if count == 0 {
             let file = replayer.name().into();
             return Err(Error::NothingToRemove { file, variables: all.len() });
         }
-        Ok(nodes)
+        Ok(Candidates { nodes, count })
     }
 }
 

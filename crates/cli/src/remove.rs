@@ -15,7 +15,7 @@ use serde_json::{Map, Value, json};
 use crate::convert;
 use crate::error::Error;
 use crate::files;
-use crate::nodes::Choice;
+use crate::nodes::{Candidates, Choice};
 use crate::options::{Common, Policy, Reading, Solving, StartFrom};
 use crate::output::Output;
 use crate::progress::Progress;
@@ -193,7 +193,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         .map_err(|error| error.with_gauge(arguments.solving.prior.0, &document))?;
 
     let mut full = replayer.smoother().clone();
-    let progress = Progress::new(nodes.len(), output.is_interactive());
+    let progress = Progress::new(nodes.count, output.is_interactive());
     let thinning = thin(&mut replayer, &nodes, arguments, progress)?;
     let explain = |source| unsolvable(&replayer, source);
     let first = match first {
@@ -262,10 +262,10 @@ fn check_targets(arguments: &Arguments, document: &Document) -> Result<(), Error
 fn start(
     replayer: &mut Replayer,
     arguments: &Arguments,
-) -> Result<(Vec<VariableId>, Option<BatchReport>), Error> {
+) -> Result<(Candidates, Option<BatchReport>), Error> {
     replayer.everything()?;
     // A list that makes no sense is told before the work.
-    let nodes = arguments.choice.nodes(replayer, arguments.seed)?;
+    let nodes = arguments.choice.candidates(replayer)?;
     if arguments.no_optimize {
         return Ok((nodes, None));
     }
@@ -275,17 +275,18 @@ fn start(
 
 fn thin(
     replayer: &mut Replayer,
-    nodes: &[VariableId],
+    nodes: &Candidates,
     arguments: &Arguments,
     progress: Progress,
 ) -> Result<Thinning, Error> {
     let rules = Rules {
         order: arguments.order(),
+        at_most: nodes.count,
         options: arguments.options(),
         spared: &gauge_factors(replayer),
         prices: !arguments.no_price,
     };
-    let thinning = Thinning::run(replayer.smoother_mut(), nodes, &rules, || progress.tick());
+    let thinning = Thinning::run(replayer.smoother_mut(), &nodes.nodes, &rules, || progress.tick());
     progress.finish();
     thinning.map_err(|source| Error::Removal {
         file: replayer.name().into(),

@@ -14,6 +14,9 @@ use thiserror::Error;
 pub struct Rules<'a> {
     /// Who goes first.
     pub order: Order,
+    /// After so many removals the rest of the nodes stays. With fewer than there are nodes, the order
+    /// decides who goes, not only when.
+    pub at_most: usize,
     /// What comes in the place of a node.
     pub options: Options,
     /// Factors that are left alone while their variables stay ([`Removal::sparing`]), such as gauge
@@ -84,7 +87,7 @@ pub struct Thinning {
 }
 
 impl Thinning {
-    /// Removes `nodes` one by one, in an order of which the dynamic ones look at the graph as it then
+    /// Removes `nodes` one by one, [`Rules::at_most`] of them, in an order of which the dynamic ones look at the graph as it then
     /// is: after each removal the nodes whose blanket has changed are counted, or priced, again. A
     /// node that is needed stays and is listed. `done` is called after each node.
     ///
@@ -104,7 +107,9 @@ impl Thinning {
         let before = smoother.clone();
         let mut thinning = Self::default();
         let result = Queue::new(smoother, nodes, rules).and_then(|mut queue| {
-            while let Some(node) = queue.pop() {
+            while thinning.removed.len() < rules.at_most
+                && let Some(node) = queue.pop()
+            {
                 let touched = thinning.take(smoother, node, rules)?;
                 queue.look_again(smoother, &touched, rules)?;
                 done();

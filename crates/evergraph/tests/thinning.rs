@@ -34,7 +34,7 @@ fn world(threads: usize) -> (Smoother, Vec<VariableId>) {
 }
 
 fn rules(order: Order, options: Options) -> Rules<'static> {
-    Rules { order, options, spared: &[], prices: true }
+    Rules { order, at_most: usize::MAX, options, spared: &[], prices: true }
 }
 
 fn run(order: Order, options: Options, threads: usize) -> (Thinning, Smoother) {
@@ -129,4 +129,22 @@ fn what_makes_no_sense_is_refused() {
         RemovalError::Graph(GraphError::Foreign { .. } | GraphError::UnknownVariable { .. })
     ));
     assert_eq!(smoother.fingerprint(), before);
+}
+
+/// With a limit the order decides who goes: what costs least goes, and costs less than chance does.
+#[test]
+fn a_limit_leaves_the_rest_to_the_order() {
+    let at_most = |order, at_most| {
+        let (mut smoother, poses) = world(1);
+        let rules = Rules { at_most, ..rules(order, Options::default()) };
+        let mut done = 0;
+        let thinning = Thinning::run(&mut smoother, &poses[1..], &rules, || done += 1).unwrap();
+        assert_eq!((thinning.removed.len(), done), (at_most, at_most));
+        thinning.price().unwrap()
+    };
+    let least = at_most(Order::MinLoss, 12);
+    for seed in 1..6 {
+        assert!(least < at_most(Order::Random(seed), 12), "{least}");
+    }
+    assert_eq!(at_most(Order::Given, 0), 0.0);
 }

@@ -1,0 +1,186 @@
+#!/usr/bin/env python3
+"""What removing nodes costs: writes the tables of docs/removal.md.
+
+usage: python benches/removal.py [--evergraph PROGRAM] [--print] [TABLE...]
+
+TABLEs are `loss`, `isam`, `exact`, `time` and `edges` here, and `cut` and `sweep` of the benchmark in Rust
+(benches/removal); all but `sweep` by default, which takes an hour of two cores. Finds the data sets by
+EVERGRAPH_DATA, and builds Evergraph unless a PROGRAM is named.
+"""
+import argparse
+import math
+import os
+import statistics
+import subprocess
+import sys
+
+from peers import harness
+
+PAGE = os.path.join(harness.ROOT, "docs", "removal.md")
+MANHATTAN = "manhattanOlson3500.txt"
+GRAPHS = [MANHATTAN, "input_M3500_g2o.g2o", "intel.g2o", "parking-garage.g2o", "sphere2500.g2o", "duderstadt.g2o"]
+CUTS = {
+    "input_M3500_g2o.g2o": 2400,
+    "intel.g2o": 1150,
+    "parking-garage.g2o": 1100,
+    "sphere2500.g2o": 1670,
+    "duderstadt.g2o": 425,
+}
+SEEDS = range(1, 6)
+SWEPT = [
+    "B25b_0.500.g2o", "MIT.g2o", "city10000.txt", "duderstadt.g2o", "flat_duderstadt.g2o", "input_INTEL_g2o.g2o",
+    "input_M3500_g2o.g2o", "intel.g2o", "intel_943.g2o", "killian.g2o", "kitti_00.g2o", "kitti_06.g2o",
+    "kitti_07.g2o", "manhattan.g2o", MANHATTAN, "parking-garage.g2o", "pose2example.txt", "ring.g2o",
+    "ringCity.g2o", "smallGrid3D.g2o", "sphere2500.g2o", "sphere2500.txt", "sphere400.txt", "tinyGrid3D.g2o",
+    "victoriaPark.txt", "example.graph", "mrclam5a.pyfg",
+]
+# iSAM 1.7's own figures on manhattanOlson3500, from its own build.
+ISAM = {"random 50 %": "0.022 to 0.024", "random 90 %": "0.078 to 0.084", "every second": "0.034"}
+
+
+def file_of(name):
+    found = harness.data_files([name])
+    if not found:
+        sys.exit(f"{name} is needed for this table")
+    return found[0]
+
+
+def short(x):
+    """Three digits that matter."""
+    if x is None or not math.isfinite(x):
+        return "-"
+    return f"{x:.3g}" if x == 0 or 1e-3 <= abs(x) < 1e4 else f"{x:.1e}"
+
+
+def loss(evergraph, table):
+    """The loss of each order, in nats for each kept dimension."""
+    table.header("graph", "removed", "random, mean of 5", "least..most", "min-degree", "min-loss", "random's prices / KLD", "min-loss's prices / KLD")
+    for name in GRAPHS:
+        for percent in (33, 50, 67, 90):
+            def run(order, seed=1):
+                return evergraph.report(
+                    "remove", file_of(name), "--fraction", str(percent / 100), "--order", order, "--seed", str(seed))
+
+            random = [run("random", seed) for seed in SEEDS]
+            degree, least = run("min-degree"), run("min-loss")
+            each = [report["kld_covariance_per_dof"] for report in random]
+
+            def ratio(report):
+                return short(report["price_sum"] / report["kld_covariance"]) if report["price_sum"] else "-"
+
+            table.row(
+                name, f"{percent} %", short(statistics.mean(each)), f"{short(min(each))}..{short(max(each))}",
+                short(degree["kld_covariance_per_dof"]), short(least["kld_covariance_per_dof"]),
+                ratio(random[0]), ratio(least))
+
+
+def isam(evergraph, table):
+    """Our tree against iSAM's rules, on the same nodes in the same order."""
+    table.header("nodes", "default, mean of 5", "iSAM's rules, mean of 5", "ratio", "iSAM 1.7's own program")
+    for label, choice in [
+        ("random 50 %", ["--fraction", "0.5"]),
+        ("random 90 %", ["--fraction", "0.9"]),
+        ("every second", ["--keep-every", "2"]),
+    ]:
+        def mean(mode):
+            seeds = [evergraph.report(
+                "remove", file_of(MANHATTAN), *choice, "--order", "random", "--seed", str(seed), "--mode", mode, "--no-price")
+                for seed in SEEDS]
+            return statistics.mean(report["kld_covariance_per_dof"] for report in seeds)
+
+        ours, theirs = mean("default"), mean("isam")
+        table.row(label, f"{ours:.5f}", f"{theirs:.5f}", f"{ours / theirs:.4f}", ISAM[label])
+
+
+def exact(evergraph, table):
+    """What stays where it was."""
+    table.header("removed", "topology", "recovery", "offset", "KLD covariance", "shift, rms m", "max m", "factors", "largest blanket", "kept")
+    cases = [(percent, "dense", "random") for percent in (10, 50)] + [(90, "dense", "min-degree")]
+    cases += [(percent, "tree", "random") for percent in (10, 50, 90)]
+    for percent, topology, order in cases:
+        for recovery in ("glc", "nonlinear"):
+            if topology == "dense" and recovery == "nonlinear":
+                continue  # a clique has no relative measurements to be made of
+            for offset in ("gradient", "paper"):
+                report = evergraph.report(
+                    "remove", file_of(MANHATTAN), "--fraction", str(percent / 100), "--order", order,
+                    "--topology", topology, "--recovery", recovery, "--offset", offset, "--no-price")
+                table.row(
+                    f"{percent} %, {order}", topology, recovery, offset, short(report["kld_covariance"]),
+                    short(report["rms_shift_m"]), short(report["max_shift_m"]),
+                    f"{report['factors_before']} to {report['factors_after']}", str(report["largest_blanket"]),
+                    str(len(report["kept_for_rank"])))
+
+
+def time(evergraph, table):
+    """Time for a node."""
+    table.header("graph", "removed", "plan p50, ms", "p99", "apply p50, ms", "p99", "both p99", "max")
+    for name in GRAPHS + ["city10000.txt", "victoriaPark.txt"]:
+        report = evergraph.report("remove", file_of(name), "--fraction", "0.5", "--no-price")
+        plan, apply, both = report["plan_ms"], report["apply_ms"], report["time_per_node_ms"]
+        table.row(
+            name, "50 %", f"{plan['p50']:.3f}", f"{plan['p99']:.3f}", f"{apply['p50']:.3f}", f"{apply['p99']:.3f}",
+            f"{both['p99']:.3f}", f"{both['max']:.2f}")
+
+
+def edges(evergraph, table):
+    """Pairs of poses that share information, exactly and on trees."""
+    table.header("graph", "poses", "edges", "left", "edges, dense", "edges, tree", "largest blanket, dense")
+    for name in ("intel_943.g2o", "input_INTEL_g2o.g2o"):
+        for left in (349, 250):
+            def run(topology):
+                # All but one can go: the fraction is of those.
+                report = evergraph.report("info", file_of(name))
+                free = report["variables"] - 1 if "variables" in report else report["poses"] - 1
+                fraction = (free + 1 - left) / free
+                return evergraph.report("remove", file_of(name), "--fraction", repr(fraction), "--topology", topology, "--no-price")
+
+            def pairs(report, when):
+                # The upper triangle of the information: 6 numbers for a pose, 9 for a pair.
+                return (report[f"nnz_{when}"] - 6 * report[f"variables_{when}"]) // 9
+
+            dense, tree = run("dense"), run("tree")
+            table.row(
+                name, str(dense["variables_before"]), str(pairs(dense, "before")), str(dense["variables_after"]),
+                str(pairs(dense, "after")), str(pairs(tree, "after")), str(dense["largest_blanket"]))
+
+
+def bench(mode, files):
+    """Runs the benchmark in Rust and hands its lines on."""
+    command = ["cargo", "bench", "-q", "-p", "evergraph-benches", "--bench", "removal", "--", mode, *files]
+    with subprocess.Popen(command, cwd=harness.ROOT, stdout=subprocess.PIPE, text=True) as process:
+        yield from (line.rstrip("\n") for line in process.stdout)
+    if process.returncode:
+        print(f"{mode}: not all went well", file=sys.stderr)
+
+
+def cut(_, table):
+    for line in bench("cut", [f"{file_of(name)}:{poses}" for name, poses in CUTS.items()]):
+        table.line(line)
+
+
+def sweep(_, table):
+    for line in bench("sweep", harness.data_files(SWEPT)):
+        table.line(line)
+
+
+TABLES = {"loss": loss, "isam": isam, "exact": exact, "time": time, "edges": edges, "cut": cut, "sweep": sweep}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--evergraph", metavar="PROGRAM", help="a program that is built already")
+    parser.add_argument("--print", action="store_true", help=f"leave {os.path.basename(PAGE)} as it is")
+    parser.add_argument("tables", nargs="*", choices=[*TABLES, []], metavar="TABLE")
+    arguments = parser.parse_args()
+    evergraph = harness.Evergraph(arguments.evergraph)
+    for name in arguments.tables or [name for name in TABLES if name != "sweep"]:
+        table = harness.Table(name, not arguments.print, PAGE)
+        table.line(harness.circumstances(evergraph))
+        table.line("")
+        TABLES[name](evergraph, table)
+        table.close()
+
+
+if __name__ == "__main__":
+    main()
