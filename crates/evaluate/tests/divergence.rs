@@ -40,10 +40,10 @@ fn world(
         }
     }
     let landmark = change.add_variable(&Point2::new(1.0, 2.0));
-    for k in 0..poses.min(4) {
+    for (k, key) in keys.iter().enumerate().take(4) {
         let seen = Point2::new(1.0 - k as f64 + 0.1 * wiggle(k), 2.0 + 0.1 * wiggle(k + 1));
         let noise = Noise::isotropic(2, 0.2).unwrap();
-        change.add_factor(RelativePosition2::new(keys[k], landmark, seen, noise).unwrap());
+        change.add_factor(RelativePosition2::new(*key, landmark, seen, noise).unwrap());
     }
     smoother.apply(change).unwrap();
     settle(&mut smoother);
