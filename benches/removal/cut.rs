@@ -10,7 +10,7 @@ use evergraph::removal::{Offset, Options, Order, Recovery, Topology, shuffled};
 use evergraph::{Replayer, Rules, Thinning};
 use rayon::prelude::*;
 
-use crate::{Failure, gauge, read, replayer, settings, short, to_the_end};
+use crate::{Failure, gauge, optimum, read, replayer, settings, short, to_the_end};
 
 const SEED: u64 = 1;
 
@@ -38,9 +38,7 @@ pub fn run(files: &[&str]) -> Result<bool, Failure> {
         let (file, poses) = file.rsplit_once(':').ok_or("a file to cut needs :POSES")?;
         let poses: usize = poses.parse()?;
         let cut = Cut::of(&read(file)?, poses)?;
-        let mut full = replayer(&cut.document)?;
-        full.everything()?;
-        full.smoother_mut().optimize(&to_the_end())?;
+        let full = optimum(&cut.document)?;
         let rows: Vec<Result<String, Failure>> =
             variants().par_iter().map(|(name, options)| cut.row(&full, name, options)).collect();
         for row in rows {

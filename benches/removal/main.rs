@@ -11,7 +11,7 @@ use std::process::ExitCode;
 
 use evergraph::formats::{Document, ReadOptions, ReplayOptions};
 use evergraph::model::FactorId;
-use evergraph::solver::{BatchSettings, Settings};
+use evergraph::solver::{BatchSettings, Settings, Status};
 use evergraph::{Replayer, ReplayerError};
 
 const USAGE: &str = "\
@@ -61,6 +61,18 @@ fn settings() -> Settings {
 
 fn replayer(document: &Document) -> Result<Replayer, ReplayerError> {
     Replayer::new(document, &ReplayOptions::default(), settings())
+}
+
+/// The whole file at its optimum. Step by step, because batch steps from some files' vertices end
+/// elsewhere.
+fn optimum(document: &Document) -> Result<Replayer, Failure> {
+    let mut replayer = replayer(document)?;
+    while replayer.step()?.is_some() {}
+    let batch = replayer.smoother_mut().optimize(&to_the_end())?;
+    if batch.status != Status::Converged {
+        eprintln!("{}: not at its optimum: {:?}", document.name(), batch.status);
+    }
+    Ok(replayer)
 }
 
 /// What holds the map in its place is no measurement: it stays.

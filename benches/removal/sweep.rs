@@ -7,7 +7,7 @@ use evergraph::removal::{Options, Order, Topology, shuffled};
 use evergraph::{Rules, Smoother, Thinning};
 use rayon::prelude::*;
 
-use crate::{Failure, gauge, read, replayer, short, to_the_end};
+use crate::{Failure, gauge, optimum, read, short, to_the_end};
 
 /// One way to remove nodes.
 #[derive(Clone, Copy)]
@@ -52,9 +52,7 @@ pub fn run(files: &[&str], quick: bool) -> Result<bool, Failure> {
     println!("|---|---|---|---|---|---|---|");
     let mut all_well = true;
     for file in files {
-        let mut replayer = replayer(&read(file)?)?;
-        replayer.everything()?;
-        replayer.smoother_mut().optimize(&to_the_end())?;
+        let replayer = optimum(&read(file)?)?;
         let spared = gauge(&replayer);
         let nodes: Vec<VariableId> = replayer.graph().variables().skip(1).collect();
         let smoother = replayer.into_smoother();

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use evergraph::model::{Pose2, VariableId};
-use evergraph::removal::{Offset, Options, Order, Removal};
+use evergraph::removal::{Offset, Options, Order, Recovery, Removal};
 use evergraph::solver::{BatchSettings, Relinearization};
 use evergraph::{Settings, Smoother};
 use evergraph_tests::{data_file, read, replay};
@@ -59,6 +59,9 @@ fn removal_at_the_optimum_moves_nothing() {
         (Options::default(), 0.9),
         (Options::dense(), 0.1),
         (Options::dense(), 0.5),
+        (Options { recovery: Recovery::Nonlinear, ..Options::default() }, 0.1),
+        (Options { recovery: Recovery::Nonlinear, ..Options::default() }, 0.5),
+        (Options { recovery: Recovery::Nonlinear, ..Options::default() }, 0.9),
     ] {
         let mut reduced = full.clone();
         let nodes = &poses[..(share * poses.len() as f64) as usize];
