@@ -54,7 +54,8 @@ pub fn run(files: &[&str], quick: bool) -> Result<bool, Failure> {
     for file in files {
         let replayer = optimum(&read(file)?)?;
         let spared = gauge(&replayer);
-        let nodes: Vec<VariableId> = replayer.graph().variables().skip(1).collect();
+        let held = |id| replayer.replay().gauge_priors().iter().any(|prior| prior.variable == id);
+        let nodes: Vec<VariableId> = replayer.graph().variables().filter(|id| !held(*id)).collect();
         let smoother = replayer.into_smoother();
         let variants = variants(quick);
         let outcomes: Vec<Outcome> = variants
@@ -65,7 +66,7 @@ pub fn run(files: &[&str], quick: bool) -> Result<bool, Failure> {
         println!(
             "| {} | {} | {} | {} | {} | {:.1} | {} |",
             short(file),
-            nodes.len() + 1,
+            smoother.graph().variable_count(),
             variants.len(),
             outcomes.iter().map(|it| it.kept).sum::<usize>(),
             outcomes.iter().map(|it| it.fallbacks).sum::<usize>(),

@@ -137,7 +137,8 @@ pub(crate) fn check_output(
     check_writable(path)
 }
 
-/// That no two targets are one file, where the later would take the earlier's place.
+/// That no two targets, or a target and what is read, are one file, where the later would take the
+/// earlier's place.
 pub(crate) fn check_distinct<'a>(
     command: &'static str,
     targets: impl IntoIterator<Item = &'a Path>,
@@ -151,7 +152,10 @@ pub(crate) fn check_distinct<'a>(
         let place = fs::canonicalize(path).or_else(|_| std::path::absolute(path));
         let place = place.unwrap_or_else(|_| path.into());
         if seen.contains(&place) {
-            let message = format!("two of the files to write are {}", path.display());
+            let message = format!(
+                "two of the files to write, or to read and to write, are {}",
+                path.display()
+            );
             return Err(Error::Usage { command, message });
         }
         seen.push(place);
@@ -176,7 +180,7 @@ fn check_fits(document: &Document, dialect: Dialect, options: WriteOptions) -> R
     Ok(())
 }
 
-fn dialect_of(path: &Path) -> Result<Dialect, Error> {
+pub(crate) fn dialect_of(path: &Path) -> Result<Dialect, Error> {
     let file = || path.display().to_string().into();
     Ok(Dialect::of_extension(path).ok_or_else(|| FormatError::UnknownExtension { file: file() })?)
 }

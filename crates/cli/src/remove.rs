@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use clap::{Args, ValueEnum};
 use evergraph::evaluate::{Divergence, Solved};
-use evergraph::formats::{Document, Line, Record, WriteOptions};
+use evergraph::formats::{Dialect, Document, Line, Record, WriteOptions};
 use evergraph::model::VariableId;
 use evergraph::removal::{Offset, Options, Order, Recovery, Topology};
 use evergraph::solver::{BatchReport, Settings, Smoother};
@@ -120,6 +120,9 @@ pub(crate) struct Arguments {
     /// Whose rules where they differ
     #[arg(long, value_enum, default_value = "default")]
     mode: Mode,
+    /// Nodes whose neighbours have more dimensions than this stay: planning is cubic in them
+    #[arg(long, value_name = "N", default_value_t = Options::default().largest_blanket)]
+    largest_blanket: usize,
     /// Remove from the file's vertices as they are (or odometry, where it has none), one
     /// Gauss-Newton step on; the cost is measured at the optimum all the same
     #[arg(long)]
@@ -163,6 +166,7 @@ impl Arguments {
                 Some(OffsetName::Paper) => Offset::Zero,
                 None => rules.offset,
             },
+            largest_blanket: self.largest_blanket,
             ..rules
         }
     }
@@ -250,9 +254,20 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
 
 /// Whether everything can be written, as far as that can be known before the work.
 fn check_targets(arguments: &Arguments, document: &Document) -> Result<(), Error> {
-    let targets = || [&arguments.output, &arguments.common.report].into_iter().flatten();
-    files::check_distinct("remove", targets().map(PathBuf::as_path))?;
+    let read = [Some(&arguments.file), arguments.choice.nodes.as_ref()];
+    let written = [arguments.output.as_ref(), arguments.common.report.as_ref()];
+    let all = read.into_iter().chain(written).flatten();
+    files::check_distinct("remove", all.map(PathBuf::as_path))?;
     if let Some(path) = &arguments.output {
+        let is_linear = matches!(arguments.recovery, RecoveryName::Glc);
+        if is_linear && files::dialect_of(path)? != Dialect::G2o {
+            let message = format!(
+                "generic linear constraints go into .g2o files only, not into {}; name one, or give \
+                 --recovery nonlinear",
+                path.display()
+            );
+            return Err(Error::Usage { command: "remove", message });
+        }
         files::check_output(path, document, WriteOptions { plain: false })?;
     }
     arguments.common.report.as_deref().map_or(Ok(()), |path: &Path| files::check_writable(path))
@@ -365,6 +380,9 @@ impl Told {
             Needed::Applied(_) => "singular",
             Needed::Planned(evergraph::removal::RemovalError::LastPose { .. }) => "last_pose",
             Needed::Planned(evergraph::removal::RemovalError::NoBlanket { .. }) => "no_blanket",
+            Needed::Planned(evergraph::removal::RemovalError::LargeBlanket { .. }) => {
+                "large_blanket"
+            }
             _ => "not_representable",
         };
         Self {

@@ -266,7 +266,7 @@ fn what_a_format_cannot_hold_is_told() {
     for name in ["out.graph", "out.txt", "out.pyfg"] {
         folder
             .run(&format!("remove square.g2o --keep-every 2 --output {name}"))
-            .failed(1, &["files cannot hold", "write another format"]);
+            .failed(2, &["generic linear constraints", name, "--recovery nonlinear"]);
     }
     folder.run("remove square.g2o --keep-every 2 --output out.xyz").failed(1, &["extension"]);
     assert_eq!(folder.list(), ["square.g2o"]);
@@ -277,9 +277,48 @@ fn what_a_format_cannot_hold_is_told() {
 }
 
 #[test]
+fn what_is_read_is_not_written_over() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    folder.write("other.g2o", SQUARE);
+    folder.write("list.txt", "2\n");
+    for line in [
+        "remove square.g2o --keep-every 2 --report square.g2o",
+        "remove square.g2o --keep-every 2 --output square.g2o",
+        "remove square.g2o --nodes list.txt --report list.txt",
+        "compare square.g2o other.g2o --report other.g2o",
+    ] {
+        folder.run(line).failed(2, &["to read and to write"]);
+    }
+    assert_eq!(folder.read("square.g2o"), SQUARE);
+    assert_eq!(folder.read("other.g2o"), SQUARE);
+}
+
+/// Whatever the order, a node with too many neighbours is passed over and listed.
+#[test]
+fn large_blankets_stay() {
+    let folder = Folder::new();
+    let file = sample("manhattan-landmarks.g2o");
+    for order in ["random", "min-loss", "given"] {
+        let line = "--fraction 0.4 --largest-blanket 9 --report out.json";
+        folder.run(&format!("remove {file} --order {order} {line}")).done();
+        let report = folder.json("out.json");
+        check(&report);
+        assert!(number(&report, "largest_blanket") <= 4.0, "{order}");
+        if order == "min-loss" {
+            continue;
+        }
+        let kept = report["kept_for_rank"].as_array().unwrap();
+        assert!(kept.iter().any(|it| it["reason"] == "large_blanket"), "{order}: {report}");
+    }
+}
+
+#[test]
 fn composition_says_what_it_cannot_do() {
     let folder = Folder::new();
     let file = sample("manhattan-landmarks.g2o");
+    folder
+        .run(&format!("remove {file} --fraction 0.05 --recovery composition --topology dense"))
+        .failed(1, &["edges on a tree"]);
     folder
         .run(&format!("remove {file} --fraction 0.05 --recovery composition"))
         .failed(1, &["cannot be composed", "glc"]);

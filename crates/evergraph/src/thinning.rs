@@ -69,7 +69,8 @@ pub struct Thinned {
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Needed {
-    /// There is nothing that could carry what is known of it, or of where the map is.
+    /// There is nothing that could carry what is known of it, or of where the map is; or its blanket
+    /// is too large to plan for.
     #[error(transparent)]
     Planned(RemovalError),
     /// Without it a direction would be free.
@@ -87,13 +88,15 @@ pub struct Thinning {
 }
 
 impl Thinning {
-    /// Removes `nodes` one by one, [`Rules::at_most`] of them, in an order of which the dynamic ones look at the graph as it then
-    /// is: after each removal the nodes whose blanket has changed are counted, or priced, again. A
-    /// node that is needed stays and is listed. `done` is called after each node.
+    /// Removes `nodes` one by one, [`Rules::at_most`] of them. Dynamic orders look at the graph as it
+    /// then is: after each removal the nodes whose neighborhood has changed are counted, or priced,
+    /// again. Prices of nodes further away go stale by what the removal changes there, which is of the
+    /// order of its own price. A node that is needed stays and is listed. `done` is called after each
+    /// node.
     ///
     /// Prices are exact where linearization points are the estimates, as after
-    /// [`Smoother::optimize`]. With [`Rules::prices`] each node costs one more plan, with its joint covariance;
-    /// [`Order::MinLoss`] costs one for every node near a removed one.
+    /// [`Smoother::optimize`]. With [`Rules::prices`] each node costs one more plan, with its joint
+    /// covariance; [`Order::MinLoss`] costs one for every node near a removed one.
     ///
     /// # Errors
     /// [`ThinningError`]; the smoother is then as it was before the first.
@@ -193,11 +196,12 @@ fn check(graph: &Graph, nodes: &[VariableId]) -> Result<(), RemovalError> {
     if nodes.is_empty() { Err(RemovalError::Nothing) } else { Ok(()) }
 }
 
-/// Whether the node has to stay, where another error says that the call makes no sense.
+/// Whether the node stays, where another error says that the call makes no sense.
 fn is_needed(error: &RemovalError) -> bool {
     matches!(
         error,
         RemovalError::NoBlanket { .. }
+            | RemovalError::LargeBlanket { .. }
             | RemovalError::LastPose { .. }
             | RemovalError::NotRepresentable { .. }
     )

@@ -69,6 +69,11 @@ pub(crate) fn explain_removal(error: &RemovalError, name: &dyn Fn(VariableId) ->
             "{} shares no factor with a variable that stays, so nothing can carry what is known of it",
             name(*variable)
         ),
+        RemovalError::LargeBlanket { variable, dim, largest } => format!(
+            "{} shares factors with variables of {dim} dimensions in all, more than {largest}, and planning is \
+             cubic in them",
+            name(*variable)
+        ),
         RemovalError::LastPose { variable } => {
             format!("{} is the last pose of the graph, which has to keep one", name(*variable))
         }

@@ -96,6 +96,11 @@ pub enum RemovalError {
         /// Its variables.
         variables: Vec<VariableId>,
     },
+    /// Composition makes edges of trees.
+    #[error(
+        "composition makes edges on a tree, there is no dense one; use Topology::ChowLiu, or another recovery"
+    )]
+    DenseComposition,
     /// An order by loss without covariances.
     #[error(
         "removing by least loss needs the joint covariance of blankets; give one with `priced_by`"

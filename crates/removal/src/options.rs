@@ -23,10 +23,11 @@ pub enum Recovery {
     Glc,
     /// Ordinary factors (relative poses, points seen from poses, priors), which are linearized
     /// again as the estimate moves and which files of every dialect can hold. What has no such
-    /// form becomes a generic linear constraint.
+    /// form becomes a generic linear constraint: a clique of three or more with
+    /// [`Topology::Dense`], and what falls back to that.
     Nonlinear,
     /// Measurements compounded along two edges and merged: what pruning did before generic linear
-    /// constraints. Double counts; for comparison. Full relative poses only.
+    /// constraints. Double counts; for comparison. Full relative poses on trees only.
     Composition,
     /// Nothing: what the node's factors said of other variables is *lost*. By this name only.
     Drop,
@@ -122,7 +123,7 @@ pub struct Options {
     /// When a tree is not trusted.
     pub guard: Guard,
     /// A blanket of more tangent dimensions than this is refused: planning is cubic in it. A
-    /// beacon that is heard from all of a map has one. Default 3000, which takes minutes.
+    /// beacon that is heard from all of a map has one. Default 1000, which takes seconds.
     pub largest_blanket: usize,
 }
 
@@ -138,7 +139,7 @@ impl Default for Options {
             intra_clique: true,
             least_weight: 0.01,
             guard: Guard::default(),
-            largest_blanket: 3000,
+            largest_blanket: 1000,
         }
     }
 }

@@ -5,7 +5,7 @@ use evergraph_model::{Change, FactorId, Graph, GraphError, VariableId};
 use crate::error::RemovalError;
 use crate::many;
 use crate::neighborhood::check_last_pose;
-use crate::options::{Options, Rank};
+use crate::options::{Options, Rank, Recovery, Topology};
 use crate::order::Order;
 use crate::overlay::{Estimates, Overlay};
 use crate::price::{Covariance, Ledger};
@@ -295,6 +295,9 @@ fn check(options: &Options) -> Result<(), RemovalError> {
     let refuse = |option, value, expected| Err(RemovalError::Option { option, value, expected });
     if !(0.0..=1.0).contains(&options.least_weight) {
         return refuse("least_weight", options.least_weight, "from 0 to 1");
+    }
+    if (options.topology, options.recovery) == (Topology::Dense, Recovery::Composition) {
+        return Err(RemovalError::DenseComposition);
     }
     let guard = &options.guard;
     for (option, value) in
