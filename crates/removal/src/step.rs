@@ -265,9 +265,8 @@ impl Replacement {
             }
         }
         let potentials = Potential::dense(target);
-        let minimum =
-            crate::qr::back_substitute(&target.root, &target.pivots, target.rhs.as_slice());
-        let new = Self::make(overlay, target, &potentials, target.root.clone(), &minimum, options)?;
+        let root = target.root.clone();
+        let new = Self::make(overlay, target, &potentials, root, &target.minimum(), options)?;
         Ok(Self { topology: Topology::Dense, fallback, ..new })
     }
 

@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::motion::{WORLDS, World, carried, pose_of, world_of};
 use crate::neighborhood::{Member, Neighborhood};
-use crate::qr::{RANK_TOLERANCE, column_norms, echelon};
+use crate::qr::{RANK_TOLERANCE, back_substitute, column_norms, echelon};
 
 /// The square root `[R_t | d_t]` of the target (section II-A of the GLC paper; equations 12 and 13
 /// of the laser paper):
@@ -37,6 +37,12 @@ pub(crate) struct Target {
     /// Directions of the removed nodes that no factor determines.
     pub(crate) free: usize,
 }
+
+/// A direction of which this share of a column's norm is known, or less, has its minimum up to
+/// `1 / share` away, and computing with that loses the share `ε / share` of every other gradient; left
+/// where it is, it loses its own, which is `share` of what the column could have. They are equal at
+/// the root of the machine's precision.
+const WEAK: f64 = 1e-8;
 
 /// Rows `[A | b]` on some members.
 struct Rows {
@@ -180,6 +186,17 @@ impl Target {
 
     pub(crate) fn is_regular(&self) -> bool {
         self.rank() == self.dim()
+    }
+
+    /// A point where the target is least, `R_t d = d_t`. Directions that are hardly known ([`WEAK`])
+    /// stay where they are.
+    pub(crate) fn minimum(&self) -> DVector<f64> {
+        // Columns that waited were taken by the share that was left of them, so the weak are last.
+        let weak = |&(row, &column): &(usize, &usize)| {
+            self.root[(row, column)].abs() <= WEAK * self.scales[column]
+        };
+        let last = self.pivots.iter().enumerate().rev().take_while(weak).count();
+        back_substitute(&self.root, &self.pivots[..self.rank() - last], self.rhs.as_slice())
     }
 
     /// `η_t`.

@@ -160,3 +160,31 @@ fn ranges_from_three_poses_need_the_whole_blanket() {
         assert_eq!(step.added.len(), 1);
     }
 }
+
+/// An offset of several turns: an ordinary prior cannot hold it, because its logarithm would lose them.
+#[test]
+fn an_offset_of_more_than_half_a_turn_becomes_a_linear_factor() {
+    use evergraph_factors::{BetweenPose2, Linear};
+    use evergraph_model::{LieGroup, Noise, Pose2, Value};
+    let scene = Scene::of(|change| {
+        let z = Pose2::new(1.0, 0.2, 0.3);
+        let keys = [Pose2::identity(), z].map(|x| change.add_variable(&x));
+        let noise = Noise::isotropic(3, 0.1).unwrap();
+        change.add_factor(BetweenPose2::new(keys[0], keys[1], z, noise).unwrap());
+        // Next to nothing known of a heading that is said to be far off.
+        let rows = nalgebra::DMatrix::from_diagonal_element(3, 3, 0.01);
+        let offset = nalgebra::DVector::from_vec(vec![0.0, 0.0, 15.0]);
+        let known = [(keys[0].id(), Value::new(&Pose2::identity()))];
+        change.add_factor(Linear::new(&known, RootShift::None, rows, offset).unwrap());
+    });
+    let node = scene.ids()[0];
+    let options = Options { recovery: Recovery::Nonlinear, ..Options::default() };
+    let plan = scene.plan(node, options);
+    let step = &plan.steps()[0];
+    assert_eq!(step.fallback, Some(Fallback::DenseForOffset));
+    assert!(step.added.len() == 1 && step.added[0].linear && step.largest_rotation > 10.0);
+    let answer = answer(&scene, &[node], &step.blanket);
+    let (lambda, eta) = normal(&added(&scene, &plan, &step.blanket));
+    assert_close(&lambda, &answer.lambda, &answer.scale, 1e-9, "information");
+    assert_same_gradient(&eta, &answer.eta, &answer, 1e-9);
+}

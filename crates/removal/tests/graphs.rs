@@ -83,6 +83,33 @@ fn removal_at_the_optimum_moves_nothing() {
     }
 }
 
+/// At any other point than the estimate the new factors agree with the old to first order only.
+#[test]
+fn blankets_are_linearized_where_the_new_factors_were_made() {
+    let (mut smoother, keys) = drive(30, true, 6);
+    let mut draw = Draw::new(1);
+    let mut change = smoother.change();
+    for &key in &keys {
+        let away = smoother.estimate(key).unwrap().compose(&Pose2::exp(&draw.vector(0.1)));
+        change.move_linearization_point(key, &away);
+    }
+    smoother.apply(change).unwrap();
+    let node = keys[13].id();
+    for options in [Options::default(), Options::dense()] {
+        let mut reduced = smoother.clone();
+        let plan = Removal::new(reduced.graph(), &reduced).with_options(options).plan(node);
+        let plan = plan.unwrap();
+        let blanket = plan.steps()[0].blanket.clone();
+        let estimates = reduced.estimates();
+        reduced.apply(plan.into_change()).unwrap();
+        for id in blanket {
+            let point = reduced.linearization_point(id).unwrap();
+            assert_eq!(point, estimates.value(id).unwrap().to_value());
+            assert_ne!(point, smoother.linearization_point(id).unwrap());
+        }
+    }
+}
+
 #[test]
 fn groups_are_eliminated_exactly() {
     for extras in [false, true] {

@@ -9,10 +9,14 @@ use evergraph_model::{
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
 use crate::error::MakeError;
-use crate::motion::carried;
+use crate::motion::{carried, rotation_part};
 use crate::neighborhood::Member;
 use crate::potential::Potential;
 use crate::target::Target;
+
+/// The logarithm takes back an offset that turns by less than half a turn only; with some room, because
+/// an ordinary factor that far from its measurement is better a linear one.
+const FARTHEST: f64 = std::f64::consts::FRAC_PI_2;
 
 /// The ordinary factor for a term with its minimum at `offset`, if there is one.
 pub(crate) fn factor(
@@ -66,6 +70,9 @@ fn group_prior<G: LieGroup<N> + LocalJacobian, const N: usize>(
     offset: &DVector<f64>,
 ) -> Result<Option<Arc<dyn Factor>>, MakeError> {
     let Some(x) = member.value.get::<G>() else { return Ok(None) };
+    if turn(member, offset) > FARTHEST {
+        return Ok(None);
+    }
     let d = SVector::<f64, N>::from_column_slice(offset.as_slice());
     let z = x.compose(&G::exp(&d));
     let noise = noise(&times(rows, &G::right_jacobian(&-d)))?;
@@ -121,11 +128,20 @@ fn between<G: LieGroup<N>, const N: usize>(
     rows: &DMatrix<f64>,
     offset: &DVector<f64>,
 ) -> Result<Option<Arc<dyn Factor>>, MakeError> {
+    if turn(second, offset) > FARTHEST {
+        return Ok(None);
+    }
     let d = SVector::<f64, N>::from_column_slice(offset.as_slice());
     let z = from.between(&to).compose(&G::exp(&d));
     let noise = noise(&times(rows, &G::right_jacobian(&-d)))?;
     let (from, to) = (graph.key::<G>(first.id)?, graph.key::<G>(second.id)?);
     Ok(Some(Arc::new(Between::<G, N>::new(from, to, z, noise)?)))
+}
+
+/// The rotation in an offset of a member.
+fn turn(member: &Member, offset: &DVector<f64>) -> f64 {
+    let dim = rotation_part(member.value.kind());
+    offset.rows(offset.len() - dim, dim).norm()
 }
 
 fn times<const N: usize>(rows: &DMatrix<f64>, m: &SMatrix<f64, N, N>) -> DMatrix<f64> {
