@@ -137,7 +137,7 @@ fn groups_are_eliminated_exactly() {
 /// The neighbours of what holds the gauge stay relative, and nothing is lost by that.
 #[test]
 fn what_is_spared_stays() {
-    let (smoother, keys) = world(20, false, 3);
+    let (smoother, keys) = drive(20, false, 3);
     let (graph, values) = (smoother.graph(), smoother.estimates());
     let prior = graph.factors().find(|(_, factor)| factor.keys().len() == 1).unwrap().0;
     let nodes = [keys[1].id()];
