@@ -81,7 +81,7 @@ proptest! {
                 prop_assert_eq!(rank(&stack.0), expected);
                 if options.topology == Topology::Dense {
                     let before = normal(&full);
-                    let (lambda, _) = schur(&before, gone);
+                    let (lambda, _) = eliminated(&full, gone);
                     let floor = 1e-3 * before.0.diagonal().max().sqrt();
                     let scale: Vec<f64> = (gone..before.0.nrows())
                         .map(|i| before.0[(i, i)].sqrt().max(floor))

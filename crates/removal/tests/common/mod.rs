@@ -167,6 +167,41 @@ pub fn schur(
     (lambda.view((m, m), (k, k)) - &gain * km.transpose(), eta.rows(m, k) - gain * eta.rows(0, m))
 }
 
+/// `(Λ, η)` of the others with the first `m` columns of a stack eliminated: what of `J_k` and `r` is
+/// not in the range of `J_m`. Nothing is squared before it is small, so that this is right where
+/// normal equations have lost half of the digits.
+pub fn eliminated(
+    (jacobian, residual): &(DMatrix<f64>, DVector<f64>),
+    m: usize,
+) -> (DMatrix<f64>, DVector<f64>) {
+    let mut nodes = jacobian.columns(0, m).into_owned();
+    let floor = 1e-4 * nodes.column_iter().map(|c| c.norm()).fold(0.0, f64::max);
+    for mut column in nodes.column_iter_mut() {
+        let norm = column.norm().max(floor);
+        if norm > 0.0 {
+            column /= norm;
+        }
+    }
+    let mut rest = jacobian.columns(m, jacobian.ncols() - m).into_owned();
+    let mut left = residual.clone();
+    // Gram and Schmidt with pivots, each direction taken out twice so that nothing of it is left.
+    for _ in 0..m {
+        let norms: Vec<f64> = nodes.column_iter().map(|column| column.norm()).collect();
+        let largest = (0..m).max_by(|&a, &b| norms[a].total_cmp(&norms[b])).unwrap();
+        if norms[largest] < 1e-9 {
+            break;
+        }
+        let q = nodes.column(largest) / norms[largest];
+        nodes.column_mut(largest).fill(0.0);
+        for _ in 0..2 {
+            nodes -= &q * q.tr_mul(&nodes);
+            rest -= &q * q.tr_mul(&rest);
+            left -= &q * q.dot(&left);
+        }
+    }
+    normal(&(rest, left))
+}
+
 /// A scene with the node, its blanket and the dense answer.
 pub struct Answer {
     pub blanket: Vec<VariableId>,
@@ -184,7 +219,7 @@ pub fn answer(scene: &Scene, removed: &[VariableId], blanket: &[VariableId]) -> 
     let stack = scene.stack(scene.z_m(removed, blanket), &order);
     let full = normal(&stack);
     let node_dim = removed.iter().map(|id| scene.graph.dim_at(id.index())).sum();
-    let (lambda, eta) = schur(&full, node_dim);
+    let (lambda, eta) = eliminated(&stack, node_dim);
     // A column that is zero in the tangent of a variable is only zero to rounding after a shift.
     let floor = 1e-3 * full.0.diagonal().max().sqrt();
     let scale = (node_dim..full.0.nrows()).map(|i| full.0[(i, i)].sqrt().max(floor)).collect();
