@@ -53,9 +53,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let common = &arguments.common;
     let output = Output::new(common);
     if let Some(path) = &common.report {
-        for read in [&arguments.full, &arguments.reduced] {
-            files::check_distinct("compare", [read.as_path(), path])?;
-        }
+        let read = [&arguments.full, &arguments.reduced];
+        files::check_apart("compare", read.map(PathBuf::as_path), path)?;
         files::check_writable(path)?;
     }
     let settings = arguments.solving.settings(Relinearization::NEVER, common.threads());

@@ -137,8 +137,22 @@ pub(crate) fn check_output(
     check_writable(path)
 }
 
-/// That no two targets, or a target and what is read, are one file, where the later would take the
-/// earlier's place.
+/// That no target is a file that is read.
+pub(crate) fn check_apart<'a>(
+    command: &'static str,
+    read: impl IntoIterator<Item = &'a Path>,
+    target: &Path,
+) -> Result<(), Error> {
+    let place = |path: &Path| fs::canonicalize(path).ok();
+    let Some(target_place) = place(target).filter(|it| it.is_file()) else { return Ok(()) };
+    if read.into_iter().any(|path| place(path).is_some_and(|it| it == target_place)) {
+        let message = format!("{} is read here; write to another file", target.display());
+        return Err(Error::Usage { command, message });
+    }
+    Ok(())
+}
+
+/// That no two targets are one file, where the later would take the earlier's place.
 pub(crate) fn check_distinct<'a>(
     command: &'static str,
     targets: impl IntoIterator<Item = &'a Path>,
@@ -152,10 +166,7 @@ pub(crate) fn check_distinct<'a>(
         let place = fs::canonicalize(path).or_else(|_| std::path::absolute(path));
         let place = place.unwrap_or_else(|_| path.into());
         if seen.contains(&place) {
-            let message = format!(
-                "two of the files to write, or to read and to write, are {}",
-                path.display()
-            );
+            let message = format!("two of the files to write are {}", path.display());
             return Err(Error::Usage { command, message });
         }
         seen.push(place);

@@ -254,10 +254,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
 
 /// Whether everything can be written, as far as that can be known before the work.
 fn check_targets(arguments: &Arguments, document: &Document) -> Result<(), Error> {
+    let targets = || [&arguments.output, &arguments.common.report].into_iter().flatten();
+    files::check_distinct("remove", targets().map(PathBuf::as_path))?;
     let read = [Some(&arguments.file), arguments.choice.nodes.as_ref()];
-    let written = [arguments.output.as_ref(), arguments.common.report.as_ref()];
-    let all = read.into_iter().chain(written).flatten();
-    files::check_distinct("remove", all.map(PathBuf::as_path))?;
+    for target in targets() {
+        files::check_apart("remove", read.into_iter().flatten().map(PathBuf::as_path), target)?;
+    }
     if let Some(path) = &arguments.output {
         let is_linear = matches!(arguments.recovery, RecoveryName::Glc);
         if is_linear && files::dialect_of(path)? != Dialect::G2o {

@@ -287,7 +287,7 @@ fn what_is_read_is_not_written_over() {
         "remove square.g2o --nodes list.txt --report list.txt",
         "compare square.g2o other.g2o --report other.g2o",
     ] {
-        folder.run(line).failed(2, &["to read and to write"]);
+        folder.run(line).failed(2, &["is read here"]);
     }
     assert_eq!(folder.read("square.g2o"), SQUARE);
     assert_eq!(folder.read("other.g2o"), SQUARE);
