@@ -14,10 +14,12 @@
 pub mod double;
 mod oracle;
 mod replay;
+mod stack;
 pub mod world;
 
 pub use oracle::check_against_batch;
 pub use replay::{References, read, replay};
+pub use stack::stack;
 
 use std::env;
 use std::io::{self, Write};

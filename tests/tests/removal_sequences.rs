@@ -10,8 +10,8 @@ use std::env;
 
 use evergraph::model::Value;
 use evergraph::prelude::*;
-use evergraph_tests::check_against_batch;
 use evergraph_tests::world::{Operation, Removals, World};
+use evergraph_tests::{check_against_batch, stack};
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::*;
 use proptest::test_runner::{FileFailurePersistence, RngSeed, TestRunner};
@@ -97,32 +97,9 @@ fn check_estimate(smoother: &Smoother, at: &str) {
     if graph.variables().all(at_optimum) {
         return;
     }
-    let mut points = vec![0.0; graph.value_len()];
-    let mut first = vec![0; graph.variable_slots()];
-    let mut width = 0;
-    for id in graph.variables() {
-        let point = smoother.linearization_point(id).unwrap();
-        points[graph.value_range(id.index())].copy_from_slice(point.storage());
-        first[id.index()] = width;
-        width += graph.dim_at(id.index());
-    }
-    let count = graph.factor_indices().map(|f| graph.rows_at(f)).sum::<usize>();
-    let (mut jacobian, mut residual) = (DMatrix::zeros(count, width), DVector::zeros(count));
-    let mut top = 0;
-    for f in graph.factor_indices() {
-        let mut block = vec![0.0; graph.linearization_len(f)];
-        graph.linearize(f, &points, &mut block);
-        let (rows, columns) = (graph.rows_at(f), graph.columns_at(f));
-        let block = DMatrix::from_vec(rows, block.len() / rows, block);
-        for (k, &v) in graph.variables_at(f).iter().enumerate() {
-            let (start, end) = (columns[k] as usize, columns[k + 1] as usize);
-            jacobian
-                .view_mut((top, first[v as usize]), (rows, end - start))
-                .copy_from(&block.columns(start, end - start));
-        }
-        residual.rows_mut(top, rows).copy_from(&block.column(block.ncols() - 1));
-        top += rows;
-    }
+    let order: Vec<VariableId> = graph.variables().collect();
+    let (mut jacobian, residual) =
+        stack(graph, &order, |id| smoother.linearization_point(id).unwrap());
     let scale: Vec<f64> = jacobian.column_iter().map(|column| column.norm()).collect();
     for (mut column, scale) in jacobian.column_iter_mut().zip(&scale) {
         column /= *scale;
@@ -133,8 +110,9 @@ fn check_estimate(smoother: &Smoother, at: &str) {
     let solution = r.solve_upper_triangular(&-q.tr_mul(&residual)).unwrap();
     let rounding = 10.0 * f64::EPSILON * condition(&r);
     let tolerance = (rounding.max(1e-9) * solution.norm()).max(rounding * length).max(1e-290);
-    for id in graph.variables() {
-        let (start, dim) = (first[id.index()], graph.dim_at(id.index()));
+    let mut start = 0;
+    for id in order {
+        let dim = graph.dim_at(id.index());
         let delta: Vec<f64> = (start..start + dim).map(|i| solution[i] / scale[i]).collect();
         let point: Value = smoother.linearization_point(id).unwrap();
         let expected = point.retract(&delta).unwrap();
@@ -150,6 +128,7 @@ fn check_estimate(smoother: &Smoother, at: &str) {
                 "{at}: {id} is off by {off:e} in {i}, {tolerance:e} of {scale:?} allowed"
             );
         }
+        start += dim;
     }
 }
 

@@ -4,8 +4,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
-use evergraph_model::{FactorId, Graph, GraphError, Value, VariableId};
-use evergraph_removal::{Fallback, Options, Order, Plan, Removal, RemovalError, shuffled};
+use evergraph_model::{FactorId, Graph, GraphError, VariableId};
+use evergraph_removal::{Fallback, Options, Order, Removal, RemovalError, shuffled};
 use evergraph_solver::{Covariances, Smoother, SmootherError};
 use thiserror::Error;
 
@@ -57,9 +57,9 @@ pub struct Thinned {
     /// What it cost, in nats, of the map as the removals before left it; `None` when that was not asked
     /// for, or rounding left no covariance to price it by.
     pub price: Option<f64>,
-    /// See [`Plan::constant`].
+    /// See [`Plan::constant`](evergraph_removal::Plan::constant).
     pub constant: f64,
-    /// See [`Plan::degrees_of_freedom`].
+    /// See [`Plan::degrees_of_freedom`](evergraph_removal::Plan::degrees_of_freedom).
     pub degrees_of_freedom: i64,
     /// Why it did not take the form that was asked for.
     pub fallback: Option<Fallback>,
@@ -146,7 +146,7 @@ impl Thinning {
             false => None,
         };
         let begun = Instant::now();
-        let planned = plan(smoother, node, rules);
+        let planned = removal(smoother, rules).plan(node);
         let planning = begun.elapsed();
         let plan = match planned {
             Ok(plan) => plan,
@@ -207,20 +207,8 @@ fn is_needed(error: &RemovalError) -> bool {
     )
 }
 
-/// The exact estimates of a smoother, each looked up where it is needed.
-fn estimate(smoother: &Smoother, variable: VariableId) -> Result<Value, GraphError> {
-    smoother.estimate_value(variable).map_err(|error| match error {
-        SmootherError::Graph(error) => error,
-        _ => GraphError::UnknownVariable { variable },
-    })
-}
-
-fn plan(smoother: &Smoother, node: VariableId, rules: &Rules<'_>) -> Result<Plan, RemovalError> {
-    let estimates = |variable| estimate(smoother, variable);
-    Removal::new(smoother.graph(), &estimates)
-        .with_options(rules.options)
-        .sparing(rules.spared)
-        .plan(node)
+fn removal<'a>(smoother: &'a Smoother, rules: &Rules<'a>) -> Removal<'a> {
+    Removal::new(smoother.graph(), smoother).with_options(rules.options).sparing(rules.spared)
 }
 
 /// What a removal would cost; `None` when it cannot be planned or priced.
@@ -230,13 +218,7 @@ fn priced(
     node: VariableId,
     rules: &Rules<'_>,
 ) -> Result<Option<f64>, RemovalError> {
-    let estimates = |variable| estimate(smoother, variable);
-    let mut joint = |variables: &[VariableId]| covariances.joint(variables);
-    let mut removal = Removal::new(smoother.graph(), &estimates)
-        .with_options(rules.options)
-        .sparing(rules.spared)
-        .priced_by(&mut joint);
-    match removal.plan(node) {
+    match removal(smoother, rules).priced_by(covariances).plan(node) {
         Ok(plan) => Ok(plan.price()),
         Err(RemovalError::Covariance { .. }) => Ok(None),
         Err(error) if is_needed(&error) => Ok(None),

@@ -123,7 +123,7 @@ pub struct Options {
     /// When a tree is not trusted.
     pub guard: Guard,
     /// A blanket of more tangent dimensions than this is refused: planning is cubic in it. A
-    /// beacon that is heard from all of a map has one. Default 1000, which takes seconds.
+    /// beacon that is heard from all of a map has one. Default 1000.
     pub largest_blanket: usize,
 }
 

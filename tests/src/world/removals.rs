@@ -10,6 +10,7 @@ use evergraph::{Settings, Smoother, SmootherError};
 use nalgebra::{DMatrix, DVector};
 
 use super::{Variable, World};
+use crate::stack;
 
 /// What removals have done in a world, so that a test can tell that it tested something.
 #[derive(Clone, Copy, Debug, Default)]
@@ -297,36 +298,9 @@ fn one_by_one(before: At<'_>, steps: &[Step], options: Options, after: At<'_>, w
 }
 
 impl At<'_> {
-    /// `[J | r]`, the variables in `order`.
     fn stack(self, order: &[VariableId]) -> (DMatrix<f64>, DVector<f64>) {
         let Self(graph, estimates) = self;
-        let mut points = vec![0.0; graph.value_len()];
-        let mut first = vec![0; graph.variable_slots()];
-        let mut width = 0;
-        for &id in order {
-            let value = estimates.value(id).expect("it was there");
-            points[graph.value_range(id.index())].copy_from_slice(value.storage());
-            first[id.index()] = width;
-            width += graph.dim_at(id.index());
-        }
-        let count = graph.factor_indices().map(|f| graph.rows_at(f)).sum();
-        let (mut jacobian, mut residual) = (DMatrix::zeros(count, width), DVector::zeros(count));
-        let mut top = 0;
-        for f in graph.factor_indices() {
-            let mut block = vec![0.0; graph.linearization_len(f)];
-            graph.linearize(f, &points, &mut block);
-            let (rows, columns) = (graph.rows_at(f), graph.columns_at(f));
-            let block = DMatrix::from_vec(rows, block.len() / rows, block);
-            for (k, &v) in graph.variables_at(f).iter().enumerate() {
-                let (start, end) = (columns[k] as usize, columns[k + 1] as usize);
-                jacobian
-                    .view_mut((top, first[v as usize]), (rows, end - start))
-                    .copy_from(&block.columns(start, end - start));
-            }
-            residual.rows_mut(top, rows).copy_from(&block.column(block.ncols() - 1));
-            top += rows;
-        }
-        (jacobian, residual)
+        stack(graph, order, |id| estimates.value(id).expect("it was there").to_value())
     }
 
     /// Holds a graph without the variables `gone` against this one: the gradient of the others,
