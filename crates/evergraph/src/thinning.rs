@@ -1,11 +1,13 @@
 //! Nodes taken out of a live smoother, one by one: planned, then applied, as a robot does it between
 //! updates.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use evergraph_model::{FactorId, Graph, GraphError, VariableId};
-use evergraph_removal::{Fallback, Options, Order, Removal, RemovalError, shuffled};
+use evergraph_removal::{
+    DegreeQueue, Fallback, Loss, LossQueue, Options, Order, Removal, RemovalError, shuffled,
+};
 use evergraph_solver::{Covariances, Smoother, SmootherError};
 use thiserror::Error;
 
@@ -89,14 +91,12 @@ pub struct Thinning {
 
 impl Thinning {
     /// Removes `nodes` one by one, [`Rules::at_most`] of them. Dynamic orders look at the graph as it
-    /// then is: after each removal the nodes whose neighborhood has changed are counted, or priced,
-    /// again. Prices of nodes further away go stale by what the removal changes there, which is of the
-    /// order of its own price. A node that is needed stays and is listed. `done` is called after each
-    /// node.
+    /// then is ([`DegreeQueue`], [`LossQueue`]). A node that is needed stays and is listed. `done` is
+    /// called after each node.
     ///
     /// Prices are exact where linearization points are the estimates, as after
     /// [`Smoother::optimize`]. With [`Rules::prices`] each node costs one more plan, with its joint
-    /// covariance; [`Order::MinLoss`] costs one for every node near a removed one.
+    /// covariance; [`Order::MinLoss`] one for every node next to a removed one, too.
     ///
     /// # Errors
     /// [`ThinningError`]; the smoother is then as it was before the first.
@@ -109,16 +109,19 @@ impl Thinning {
         check(smoother.graph(), nodes)?;
         let before = smoother.clone();
         let mut thinning = Self::default();
-        let result = Queue::new(smoother, nodes, rules).and_then(|mut queue| {
-            while thinning.removed.len() < rules.at_most
-                && let Some(node) = queue.pop()
-            {
-                let touched = thinning.take(smoother, node, rules)?;
-                queue.look_again(smoother, &touched, rules)?;
-                done();
-            }
-            Ok(())
-        });
+        let result = Queue::new(smoother, nodes, rules).map_err(ThinningError::from).and_then(
+            |mut queue| {
+                while thinning.removed.len() < rules.at_most
+                    && let Some((node, loss)) = queue.pop(smoother, rules)?
+                {
+                    if let Some(touched) = thinning.take(smoother, node, loss, rules)? {
+                        queue.look_again(smoother, &touched, rules)?;
+                    }
+                    done();
+                }
+                Ok(())
+            },
+        );
         match result {
             Ok(()) => Ok(thinning),
             Err(error) => {
@@ -134,17 +137,22 @@ impl Thinning {
         self.removed.iter().map(|it| it.price).sum::<Option<f64>>().map(|sum| sum + 0.0)
     }
 
-    /// Removes a node, or notes why it stays. Says whose neighborhood has changed.
+    /// Removes a node, whose price may be known, or notes why it stays. Says whose neighborhood has
+    /// changed; `None` when nothing has.
     fn take(
         &mut self,
         smoother: &mut Smoother,
         node: VariableId,
+        loss: Option<Loss>,
         rules: &Rules<'_>,
-    ) -> Result<Vec<VariableId>, ThinningError> {
-        let price = match rules.prices {
-            true => priced(smoother, &mut smoother.covariances(), node, rules)?,
-            false => None,
+    ) -> Result<Option<Vec<VariableId>>, ThinningError> {
+        let loss = match loss {
+            None if rules.prices => {
+                Some(self::loss(smoother, &mut smoother.covariances(), node, rules)?)
+            }
+            known => known,
         };
+        let price = loss.map(|loss| loss.price).filter(|price| price.is_finite());
         let begun = Instant::now();
         let planned = removal(smoother, rules).plan(node);
         let planning = begun.elapsed();
@@ -152,7 +160,7 @@ impl Thinning {
             Ok(plan) => plan,
             Err(error) if is_needed(&error) => {
                 self.kept.push((node, Needed::Planned(error)));
-                return Ok(Vec::new());
+                return Ok(None);
             }
             Err(error) => return Err(error.into()),
         };
@@ -172,11 +180,11 @@ impl Thinning {
         match smoother.apply(plan.into_change()) {
             Ok(_) => {
                 self.removed.push(Thinned { apply: begun.elapsed(), ..thinned });
-                Ok(touched)
+                Ok(Some(touched))
             }
             Err(error @ SmootherError::Singular(_)) => {
                 self.kept.push((node, Needed::Applied(error)));
-                Ok(Vec::new())
+                Ok(None)
             }
             Err(source) => {
                 Err(ThinningError::Smoother { variable: node, source: Box::new(source) })
@@ -211,29 +219,28 @@ fn removal<'a>(smoother: &'a Smoother, rules: &Rules<'a>) -> Removal<'a> {
     Removal::new(smoother.graph(), smoother).with_options(rules.options).sparing(rules.spared)
 }
 
-/// What a removal would cost; `None` when it cannot be planned or priced.
-fn priced(
+/// What a removal would cost; infinite when it cannot be planned or priced.
+fn loss(
     smoother: &Smoother,
     covariances: &mut Covariances<'_>,
     node: VariableId,
     rules: &Rules<'_>,
-) -> Result<Option<f64>, RemovalError> {
-    match removal(smoother, rules).priced_by(covariances).plan(node) {
-        Ok(plan) => Ok(plan.price()),
-        Err(RemovalError::Covariance { .. }) => Ok(None),
-        Err(error) if is_needed(&error) => Ok(None),
-        Err(error) => Err(error),
-    }
+) -> Result<Loss, RemovalError> {
+    let price = match removal(smoother, rules).priced_by(covariances).plan(node) {
+        Ok(plan) => plan.price().unwrap_or(f64::INFINITY),
+        Err(RemovalError::Covariance { .. }) => f64::INFINITY,
+        Err(error) if is_needed(&error) => f64::INFINITY,
+        Err(error) => return Err(error),
+    };
+    Ok(Loss { price, degree: degree(smoother.graph(), node)? })
 }
 
 /// Nodes that wait, and which is next.
 enum Queue {
     /// The next is last.
     Fixed(Vec<VariableId>),
-    /// By size of the blanket, then by id.
-    Degree { queue: BTreeSet<(usize, VariableId)>, degrees: BTreeMap<VariableId, usize> },
-    /// By price; what has none goes last.
-    Loss(BTreeMap<VariableId, f64>),
+    Degree(DegreeQueue),
+    Loss(LossQueue),
 }
 
 impl Queue {
@@ -241,44 +248,43 @@ impl Queue {
         smoother: &Smoother,
         nodes: &[VariableId],
         rules: &Rules<'_>,
-    ) -> Result<Self, ThinningError> {
+    ) -> Result<Self, RemovalError> {
         Ok(match rules.order {
             Order::Given => Self::Fixed(nodes.iter().rev().copied().collect()),
             Order::Random(seed) => Self::Fixed(shuffled(nodes, seed).into_iter().rev().collect()),
             Order::MinDegree => {
-                let degree = |&node| Ok((node, degree(smoother.graph(), node)?));
-                let degrees = nodes.iter().map(degree).collect::<Result<BTreeMap<_, _>, _>>();
-                let degrees = degrees.map_err(RemovalError::Graph)?;
-                let queue = degrees.iter().map(|(&node, &degree)| (degree, node)).collect();
-                Self::Degree { queue, degrees }
+                let mut queue = DegreeQueue::default();
+                for &node in nodes {
+                    queue.insert(node, degree(smoother.graph(), node)?);
+                }
+                Self::Degree(queue)
             }
             Order::MinLoss => {
                 let mut covariances = smoother.covariances();
-                let mut prices = BTreeMap::new();
+                let mut queue = LossQueue::default();
                 for &node in nodes {
-                    let price = priced(smoother, &mut covariances, node, rules)?;
-                    prices.insert(node, price.unwrap_or(f64::INFINITY));
+                    queue.insert(node, loss(smoother, &mut covariances, node, rules)?);
                 }
-                Self::Loss(prices)
+                Self::Loss(queue)
             }
         })
     }
 
-    fn pop(&mut self) -> Option<VariableId> {
-        match self {
-            Self::Fixed(nodes) => nodes.pop(),
-            Self::Degree { queue, degrees } => {
-                let (_, node) = queue.pop_first()?;
-                degrees.remove(&node);
-                Some(node)
+    /// The next node, and what it costs if that is known.
+    fn pop(
+        &mut self,
+        smoother: &Smoother,
+        rules: &Rules<'_>,
+    ) -> Result<Option<(VariableId, Option<Loss>)>, RemovalError> {
+        Ok(match self {
+            Self::Fixed(nodes) => nodes.pop().map(|node| (node, None)),
+            Self::Degree(queue) => queue.pop().map(|node| (node, None)),
+            Self::Loss(queue) => {
+                let mut covariances = smoother.covariances();
+                let next = queue.pop(|node| loss(smoother, &mut covariances, node, rules))?;
+                next.map(|(node, loss)| (node, Some(loss)))
             }
-            Self::Loss(prices) => {
-                let least = prices.iter().min_by(|a, b| a.1.total_cmp(b.1));
-                let node = *least?.0;
-                prices.remove(&node);
-                Some(node)
-            }
-        }
+        })
     }
 
     /// After a removal whose blanket was `touched`.
@@ -287,48 +293,30 @@ impl Queue {
         smoother: &Smoother,
         touched: &[VariableId],
         rules: &Rules<'_>,
-    ) -> Result<(), ThinningError> {
-        let graph = smoother.graph();
+    ) -> Result<(), RemovalError> {
         match self {
-            Self::Fixed(_) => {}
-            Self::Degree { queue, degrees } => {
-                for node in touched {
-                    if let Some(known) = degrees.get_mut(node) {
-                        queue.remove(&(*known, *node));
-                        *known = degree(graph, *node).map_err(RemovalError::Graph)?;
-                        queue.insert((*known, *node));
+            Self::Fixed(_) => Ok(()),
+            Self::Degree(queue) => {
+                for &node in touched {
+                    if queue.contains(node) {
+                        queue.insert(node, degree(smoother.graph(), node)?);
                     }
                 }
+                Ok(())
             }
-            Self::Loss(prices) => {
-                // A neighborhood has changed when it shares a variable with this one.
-                let mut near: BTreeSet<VariableId> = touched.iter().copied().collect();
-                for &variable in touched {
-                    near.extend(neighbors(graph, variable).map_err(RemovalError::Graph)?);
-                }
+            Self::Loss(queue) => {
                 let mut covariances = smoother.covariances();
-                for node in near {
-                    if let Some(price) = prices.get_mut(&node) {
-                        let found = priced(smoother, &mut covariances, node, rules)?;
-                        *price = found.unwrap_or(f64::INFINITY);
-                    }
-                }
+                queue.removed(touched, |node| loss(smoother, &mut covariances, node, rules))
             }
         }
-        Ok(())
     }
 }
 
-/// The Markov blanket of a variable, and the variable.
-fn neighbors(graph: &Graph, node: VariableId) -> Result<BTreeSet<VariableId>, GraphError> {
+/// How many others share a factor with a variable.
+fn degree(graph: &Graph, node: VariableId) -> Result<usize, GraphError> {
     let mut found = BTreeSet::new();
     for factor in graph.factors_of(node)? {
         found.extend(graph.factor(factor)?.keys().iter().copied());
     }
-    Ok(found)
-}
-
-/// How many others share a factor with it.
-fn degree(graph: &Graph, node: VariableId) -> Result<usize, GraphError> {
-    Ok(neighbors(graph, node)?.len().saturating_sub(1))
+    Ok(found.len().saturating_sub(1))
 }

@@ -1,6 +1,6 @@
 //! Many nodes: which goes when.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use evergraph_model::VariableId;
 
@@ -10,7 +10,8 @@ use crate::options::{Recovery, Topology};
 use crate::order::{Order, shuffled};
 use crate::overlay::Overlay;
 use crate::plan::Work;
-use crate::step::Draft;
+use crate::queue::{DegreeQueue, Loss, LossQueue};
+use crate::step::Step;
 
 /// Takes all of `nodes` out, each once.
 pub(crate) fn run(
@@ -46,20 +47,15 @@ fn one_by_one(work: &mut Work<'_, '_>, nodes: &[VariableId]) -> Result<(), Remov
 /// Smallest blanket first. A step changes the blankets of its own blanket only.
 fn by_degree(work: &mut Work<'_, '_>, nodes: &[VariableId]) -> Result<(), RemovalError> {
     let degree = |overlay: &Overlay<'_>, node| blanket(overlay, &[node]).len();
-    let mut degrees: BTreeMap<VariableId, usize> =
-        nodes.iter().map(|&node| (node, degree(work.overlay, node))).collect();
-    let mut queue: BTreeSet<(usize, VariableId)> =
-        degrees.iter().map(|(&node, &degree)| (degree, node)).collect();
-    while let Some((_, node)) = queue.pop_first() {
+    let mut queue = DegreeQueue::default();
+    nodes.iter().for_each(|&node| queue.insert(node, degree(work.overlay, node)));
+    while let Some(node) = queue.pop() {
         let draft = work.draft(&[node])?;
         let touched = draft.step.blanket.clone();
         work.take(draft)?;
-        degrees.remove(&node);
         for neighbor in touched {
-            if let Some(known) = degrees.get_mut(&neighbor) {
-                queue.remove(&(*known, neighbor));
-                *known = degree(work.overlay, neighbor);
-                queue.insert((*known, neighbor));
+            if queue.contains(neighbor) {
+                queue.insert(neighbor, degree(work.overlay, neighbor));
             }
         }
     }
@@ -71,31 +67,23 @@ fn by_loss(work: &mut Work<'_, '_>, nodes: &[VariableId]) -> Result<(), RemovalE
     if !work.is_priced() {
         return Err(RemovalError::NeedsCovariance);
     }
-    let mut drafts: BTreeMap<VariableId, Draft> = BTreeMap::new();
+    let mut queue = LossQueue::default();
     for &node in nodes {
-        drafts.insert(node, work.draft(&[node])?);
+        let loss = loss(work, node)?;
+        queue.insert(node, loss);
     }
-    let price = |draft: &Draft| draft.step.price.unwrap_or(f64::INFINITY);
-    while let Some(node) =
-        drafts.iter().min_by(|a, b| price(a.1).total_cmp(&price(b.1))).map(|(&node, _)| node)
-    {
-        let Some(draft) = drafts.remove(&node) else { break };
-        // A neighborhood has changed when it shares a variable with this one.
-        let touched: BTreeSet<VariableId> =
-            draft.step.blanket.iter().chain(&draft.step.removed).copied().collect();
+    while let Some((node, _)) = queue.pop(|node| loss(work, node))? {
+        let draft = work.draft(&[node])?;
+        let touched = draft.step.blanket.clone();
         work.take(draft)?;
-        let changed: Vec<VariableId> = drafts
-            .iter()
-            .filter(|(node, draft)| {
-                touched.contains(node) || draft.step.blanket.iter().any(|v| touched.contains(v))
-            })
-            .map(|(&node, _)| node)
-            .collect();
-        for node in changed {
-            drafts.insert(node, work.draft(&[node])?);
-        }
+        queue.removed(&touched, |node| loss(work, node))?;
     }
     Ok(())
+}
+
+fn loss(work: &mut Work<'_, '_>, node: VariableId) -> Result<Loss, RemovalError> {
+    let Step { price, blanket, .. } = work.draft(&[node])?.step;
+    Ok(Loss { price: price.unwrap_or(f64::INFINITY), degree: blanket.len() })
 }
 
 /// Nodes that share factors with each other, connected groups of them; in the order in which the

@@ -14,10 +14,8 @@ pub enum Order {
     Random(u64),
     /// The node with the smallest Markov blanket first, counted as nodes go; ties by id.
     MinDegree,
-    /// The node whose removal costs least first ([`Step::price`](crate::Step::price)); every node
-    /// whose neighborhood a step has changed is priced again. The divergence is not submodular, so
-    /// prices can fall as well as rise, and no lazy queue would do. Changes further away are left
-    /// out of prices until a node's own neighborhood changes.
+    /// The node whose removal costs least first ([`Step::price`](crate::Step::price)), as priced
+    /// right before it goes; [`LossQueue`](crate::LossQueue) says when others are priced again.
     MinLoss,
 }
 

@@ -9,26 +9,31 @@
 //! Σ_BB = YᵀY + Wᵀ Σ_CC W
 //! ```
 //!
-//! with the rows of Y below C only. The covariance of a whole clique comes from its parent's, whose
+//! with the rows of Y below C only, if `Σ_CC` is known; else the substitution goes on through C. The
+//! covariance of a whole clique comes from its parent's, whose
 //! variables hold its separator S (F are the frontals, `P = R_FF⁻¹ R_FS`):
 //!
 //! ```text
 //! Σ_FS = −P Σ_SS,    Σ_FF = R_FF⁻¹ R_FF⁻ᵀ − Σ_FS Pᵀ
 //! ```
 //!
-//! so that each is made once, from the root down, and kept for the questions that follow. Nothing is
-//! factored again, and no inverse of more than a clique is formed. The recursion is that of M. Kaess
+//! so that each is made once, from the root down, and kept for the questions that follow; made when
+//! enough have gone through the clique to have paid for it. Nothing is factored again, and no inverse of more than a clique is formed. The recursion is that of M. Kaess
 //! and F. Dellaert, "Covariance recovery from a square root information matrix for data
 //! association", RAS 2009, by cliques.
+
+mod clique;
+mod substitution;
 
 use std::collections::BTreeMap;
 
 use evergraph_model::VariableId;
 use nalgebra::DMatrix;
 
+use self::clique::{cost_to_make, cost_to_pass, from_separator, separator_block};
+use self::substitution::RightHandSide;
 use crate::error::SmootherError;
 use crate::smoother::Smoother;
-use crate::tree::Clique;
 
 /// Answers questions about covariances of one state of a smoother; what it has found out it keeps.
 ///
@@ -40,13 +45,15 @@ pub struct Covariances<'a> {
     smoother: &'a Smoother,
     /// By clique: of its frontals and separator, in their order.
     cliques: BTreeMap<u32, DMatrix<f64>>,
+    /// By clique: what questions have spent on going through it.
+    spent: BTreeMap<u32, f64>,
 }
 
 impl Smoother {
     /// Covariances of the present state. The first question about a variable costs the cliques
     /// between it and its root; those nearby then cost a few cliques.
     pub fn covariances(&self) -> Covariances<'_> {
-        Covariances { smoother: self, cliques: BTreeMap::new() }
+        Covariances { smoother: self, cliques: BTreeMap::new(), spent: BTreeMap::new() }
     }
 
     /// The marginal covariance of one variable: see [`Covariances::marginal`].
@@ -110,16 +117,14 @@ impl Covariances<'_> {
         }
         let mut rhs = RightHandSide::new(columns);
         for &(_, clique) in &below {
-            rhs.add_rows(self.smoother, &tree.clique(clique).structure.frontals);
+            rhs.add_rows(self.smoother, tree.clique(clique).structure.frontals.iter().copied());
         }
         if let Some((_, clique)) = met {
-            let structure = &tree.clique(clique).structure;
-            rhs.add_rows(self.smoother, &structure.frontals);
-            rhs.add_rows(self.smoother, &structure.separator);
+            rhs.add_rows(self.smoother, tree.clique(clique).structure.variables());
         }
         let mut column = 0;
         for v in slots() {
-            let row = rhs.row_of[&(v as u32)];
+            let row = rhs.row_of(v as u32);
             for i in 0..graph.dim_at(v) {
                 rhs.row_mut(row + i)[column] = 1.0;
                 column += 1;
@@ -128,38 +133,58 @@ impl Covariances<'_> {
         for &(_, clique) in &below {
             rhs.substitute(self.smoother, tree.clique(clique));
         }
-        let mut sum = rhs.gram_above(below.iter().map(|&(_, c)| frontal_dim(tree.clique(c))).sum());
-        if let Some((_, clique)) = met {
-            let left = rhs.rest();
-            sum += left.tr_mul(&(self.of_clique(clique) * &left));
+        let above = met.map(|(_, clique)| self.climb(clique, &mut rhs));
+        let mut sum = rhs.gram();
+        if let Some(above) = above.flatten() {
+            sum += above;
         }
         Ok(sum)
     }
 
-    /// The covariance of a clique's frontals and separator.
-    fn of_clique(&mut self, clique: u32) -> &DMatrix<f64> {
-        let tree = &self.smoother.tree;
-        // From the last that is known down.
-        let mut unknown = Vec::new();
+    /// From `clique` up to one whose covariance is known, or past the root. What the known one
+    /// contributes.
+    fn climb(&mut self, clique: u32, rhs: &mut RightHandSide) -> Option<DMatrix<f64>> {
+        self.learn(clique, rhs.columns());
+        let Smoother { tree, .. } = self.smoother;
         let mut next = Some(clique);
-        while let Some(current) = next.filter(|current| !self.cliques.contains_key(current)) {
-            unknown.push(current);
+        while let Some(current) = next {
+            let passed = tree.clique(current);
+            rhs.add_rows(self.smoother, passed.structure.variables());
+            if let Some(known) = self.cliques.get(&current) {
+                let left = rhs.at(self.smoother, passed);
+                return Some(left.tr_mul(&(known * &left)));
+            }
+            rhs.substitute(self.smoother, passed);
             next = tree.parent_of(current);
         }
-        for current in unknown.into_iter().rev() {
-            let above = tree.parent_of(current).map(|parent| {
-                let known = &self.cliques[&parent];
-                separator_block(self.smoother, current, parent, known)
-            });
-            let covariance = from_separator(tree.clique(current), above);
-            self.cliques.insert(current, covariance);
-        }
-        &self.cliques[&clique]
+        None
     }
-}
 
-fn frontal_dim(clique: &Clique) -> usize {
-    clique.numeric.layout.frontal()
+    /// Makes the covariances of cliques from `clique` to the root that so many right-hand sides have
+    /// gone through that making them would have cost no more; from the root down.
+    ///
+    /// A single question never pays for the covariance of a large clique, of which it needs a few
+    /// combinations; and whatever is asked, all costs at most twice what the cheaper way would have.
+    fn learn(&mut self, clique: u32, columns: usize) {
+        let Smoother { tree, .. } = self.smoother;
+        let mut parent: Option<u32> = None;
+        let mut is_known = true;
+        for current in tree.path_to(clique) {
+            if !self.cliques.contains_key(&current) {
+                let passed = tree.clique(current);
+                let spent = self.spent.entry(current).or_insert(0.0);
+                *spent += cost_to_pass(passed, columns);
+                is_known &= *spent >= cost_to_make(passed);
+                if is_known {
+                    let above = parent.map(|parent| {
+                        separator_block(self.smoother, current, parent, &self.cliques[&parent])
+                    });
+                    self.cliques.insert(current, from_separator(passed, above));
+                }
+            }
+            parent = Some(current);
+        }
+    }
 }
 
 /// The last clique that all paths from the root have in common, and its place on them.
@@ -170,128 +195,6 @@ fn meeting_place<'a>(mut paths: impl Iterator<Item = &'a Vec<u32>>) -> Option<(u
         common.truncate(len);
     }
     Some((common.len().checked_sub(1)?, *common.last()?))
-}
-
-/// Several right-hand sides on the variables of some cliques, a row per scalar.
-struct RightHandSide {
-    columns: usize,
-    data: Vec<f64>,
-    /// By variable slot: its first row.
-    row_of: BTreeMap<u32, usize>,
-}
-
-impl RightHandSide {
-    fn new(columns: usize) -> Self {
-        Self { columns, data: Vec::new(), row_of: BTreeMap::new() }
-    }
-
-    fn rows(&self) -> usize {
-        self.data.len() / self.columns
-    }
-
-    /// Zeros for more variables.
-    fn add_rows(&mut self, smoother: &Smoother, variables: &[u32]) {
-        for &v in variables {
-            let rows = self.rows();
-            self.row_of.insert(v, rows);
-            let dim = smoother.graph.dim_at(v as usize);
-            self.data.resize((rows + dim) * self.columns, 0.0);
-        }
-    }
-
-    fn row_mut(&mut self, row: usize) -> &mut [f64] {
-        &mut self.data[row * self.columns..(row + 1) * self.columns]
-    }
-
-    /// `R_FFᵀ Y_F = U_F`, `U_S -= R_FSᵀ Y_F`, in place.
-    fn substitute(&mut self, smoother: &Smoother, clique: &Clique) {
-        let rows: Vec<usize> = clique
-            .structure
-            .variables()
-            .flat_map(|v| {
-                let first = self.row_of[&v];
-                first..first + smoother.graph.dim_at(v as usize)
-            })
-            .collect();
-        for j in 0..frontal_dim(clique) {
-            let factor = clique.numeric.row(j);
-            let solved: Vec<f64> = self.row_mut(rows[j]).iter().map(|x| x / factor[0]).collect();
-            self.row_mut(rows[j]).copy_from_slice(&solved);
-            // The entry of the right-hand side, the last, has no row.
-            for (&row, r) in rows[j + 1..].iter().zip(&factor[1..]) {
-                for (u, y) in self.row_mut(row).iter_mut().zip(&solved) {
-                    *u -= r * y;
-                }
-            }
-        }
-    }
-
-    /// `YᵀY` over the first `rows` rows; they are dropped.
-    fn gram_above(&mut self, rows: usize) -> DMatrix<f64> {
-        let rest = self.data.split_off(rows * self.columns);
-        let y = DMatrix::from_row_slice(rows, self.columns, &self.data);
-        self.data = rest;
-        y.tr_mul(&y)
-    }
-
-    fn rest(&self) -> DMatrix<f64> {
-        DMatrix::from_row_slice(self.rows(), self.columns, &self.data)
-    }
-}
-
-/// `Σ_SS` of a clique, out of the covariance of its parent.
-fn separator_block(
-    smoother: &Smoother,
-    clique: u32,
-    parent: u32,
-    known: &DMatrix<f64>,
-) -> DMatrix<f64> {
-    let Smoother { graph, tree, .. } = smoother;
-    let mut place = BTreeMap::new();
-    let mut at = 0;
-    for v in tree.clique(parent).structure.variables() {
-        place.insert(v, at);
-        at += graph.dim_at(v as usize);
-    }
-    let scalars: Vec<usize> = tree
-        .clique(clique)
-        .structure
-        .separator
-        .iter()
-        .flat_map(|v| place[v]..place[v] + graph.dim_at(*v as usize))
-        .collect();
-    DMatrix::from_fn(scalars.len(), scalars.len(), |i, j| known[(scalars[i], scalars[j])])
-}
-
-/// The covariance of a clique, given that of its separator (none for a root).
-fn from_separator(clique: &Clique, above: Option<DMatrix<f64>>) -> DMatrix<f64> {
-    let layout = clique.numeric.layout;
-    let (f, n) = (layout.frontal(), layout.columns() - 1);
-    let above = above.unwrap_or_default();
-    // [R_FF⁻¹ P], by back-substitution on [I R_FS].
-    let mut solved = DMatrix::zeros(f, n);
-    for j in 0..f {
-        solved[(j, j)] = 1.0;
-        for (s, r) in (f..n).zip(&clique.numeric.row(j)[f - j..]) {
-            solved[(j, s)] = *r;
-        }
-    }
-    for j in (0..f).rev() {
-        let row = clique.numeric.row(j);
-        for column in 0..n {
-            let known: f64 = (j + 1..f).map(|k| row[k - j] * solved[(k, column)]).sum();
-            solved[(j, column)] = (solved[(j, column)] - known) / row[0];
-        }
-    }
-    let (inverse, p) = (solved.columns(0, f), solved.columns(f, n - f));
-    let cross = -(p * &above);
-    let own = inverse * inverse.transpose() - &cross * p.transpose();
-    let mut all = DMatrix::zeros(n, n);
-    all.view_mut((0, 0), (f, f)).copy_from(&own);
-    all.view_mut((0, f), (f, n - f)).copy_from(&cross);
-    all.view_mut((f, 0), (n - f, f)).copy_from(&cross.transpose());
-    all.view_mut((f, f), (n - f, n - f)).copy_from(&above);
-    all
 }
 
 #[cfg(test)]

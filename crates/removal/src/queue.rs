@@ -1,0 +1,207 @@
+//! Nodes that wait for their removal, in the dynamic orders.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use evergraph_model::VariableId;
+
+/// [`Order::MinDegree`](crate::Order::MinDegree): the node with the smallest Markov blanket first,
+/// ties by id.
+#[derive(Clone, Debug, Default)]
+pub struct DegreeQueue {
+    queue: BTreeSet<(usize, VariableId)>,
+    degrees: BTreeMap<VariableId, usize>,
+}
+
+impl DegreeQueue {
+    /// Adds a node, or tells its new degree. O(log n).
+    pub fn insert(&mut self, node: VariableId, degree: usize) {
+        if let Some(known) = self.degrees.insert(node, degree) {
+            self.queue.remove(&(known, node));
+        }
+        self.queue.insert((degree, node));
+    }
+
+    /// Whether a node waits.
+    pub fn contains(&self, node: VariableId) -> bool {
+        self.degrees.contains_key(&node)
+    }
+
+    /// Takes the next node. O(log n).
+    pub fn pop(&mut self) -> Option<VariableId> {
+        let (_, node) = self.queue.pop_first()?;
+        self.degrees.remove(&node);
+        Some(node)
+    }
+}
+
+/// What the removal of a node would cost.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Loss {
+    /// Its price in nats; infinite when it cannot be removed or priced now, so that it goes last.
+    pub price: f64,
+    /// Size of its Markov blanket.
+    pub degree: usize,
+}
+
+/// [`Order::MinLoss`](crate::Order::MinLoss): the node whose removal costs least first, ties by id.
+///
+/// A removal changes all other prices a little, and those of its blanket much. So
+///
+/// - a node is priced again before it goes, and waits if another has become cheaper;
+/// - a node is priced again when it was in the blanket of a removed one, since its own neighborhood has
+///   changed; prices fall as well as rise (the divergence is not submodular), and one that fell must
+///   not wait for its turn. A large neighborhood is first left to change by a [`SHARE`]: a landmark
+///   that hundreds of poses see is next to most removals, and pricing it is cubic in their number.
+///
+/// Prices of other nodes are lower or higher than they say by what far removals have changed there,
+/// until it is their turn.
+#[derive(Clone, Debug, Default)]
+pub struct LossQueue {
+    nodes: BTreeMap<VariableId, Waiting>,
+    /// How many nodes have gone.
+    gone: usize,
+}
+
+/// Part of a neighborhood that changes before it is priced again out of turn.
+const SHARE: f64 = 0.125;
+
+#[derive(Clone, Copy, Debug)]
+struct Waiting {
+    loss: Loss,
+    /// How many nodes had gone when it was priced.
+    priced_at: usize,
+    /// Removals since, in the blankets of which it was.
+    changes: usize,
+}
+
+impl LossQueue {
+    /// Adds a node with its loss.
+    pub fn insert(&mut self, node: VariableId, loss: Loss) {
+        self.nodes.insert(node, Waiting { loss, priced_at: self.gone, changes: 0 });
+    }
+
+    /// Takes the node that costs least, with its price as things stand; `price` finds what a removal
+    /// would cost. O(n) and mostly one price.
+    ///
+    /// # Errors
+    /// Those of `price`; the queue is then as good as before.
+    pub fn pop<E>(
+        &mut self,
+        mut price: impl FnMut(VariableId) -> Result<Loss, E>,
+    ) -> Result<Option<(VariableId, Loss)>, E> {
+        let cheaper = |a: &Waiting, b: &Waiting| a.loss.price.total_cmp(&b.loss.price);
+        while let Some((&node, waiting)) = self.nodes.iter().min_by(|a, b| cheaper(a.1, b.1)) {
+            if waiting.priced_at == self.gone {
+                let loss = waiting.loss;
+                self.nodes.remove(&node);
+                return Ok(Some((node, loss)));
+            }
+            let loss = price(node)?;
+            self.insert(node, loss);
+        }
+        Ok(None)
+    }
+
+    /// Notes that a node has gone whose blanket was `touched`.
+    ///
+    /// # Errors
+    /// Those of `price`; what was not priced is left as it was.
+    pub fn removed<E>(
+        &mut self,
+        touched: &[VariableId],
+        mut price: impl FnMut(VariableId) -> Result<Loss, E>,
+    ) -> Result<(), E> {
+        self.gone += 1;
+        for &node in touched {
+            let Some(waiting) = self.nodes.get_mut(&node) else { continue };
+            waiting.changes += 1;
+            if waiting.changes as f64 > SHARE * waiting.loss.degree as f64 {
+                let loss = price(node)?;
+                self.insert(node, loss);
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::convert::Infallible;
+
+    use evergraph_model::{Graph, Point2, Value};
+
+    use super::*;
+
+    fn nodes(count: usize) -> Vec<VariableId> {
+        let mut change = Graph::new().change();
+        let value = || Value::new(&Point2::new(0.0, 0.0));
+        (0..count).map(|_| change.add_value(value())).collect()
+    }
+
+    fn loss(price: f64) -> Loss {
+        Loss { price, degree: 2 }
+    }
+
+    #[test]
+    fn the_smallest_degree_goes_first() {
+        let all = nodes(3);
+        let mut queue = DegreeQueue::default();
+        all.iter().zip([3, 1, 2]).for_each(|(&node, degree)| queue.insert(node, degree));
+        assert_eq!(queue.pop(), Some(all[1]));
+        assert!(!queue.contains(all[1]) && queue.contains(all[0]));
+        queue.insert(all[0], 2);
+        assert_eq!([queue.pop(), queue.pop(), queue.pop()], [Some(all[0]), Some(all[2]), None]);
+    }
+
+    /// The second has become dearer far from what it was priced by, the third cheaper beside it.
+    #[test]
+    fn prices_are_those_of_the_moment() {
+        let all = nodes(4);
+        let mut queue = LossQueue::default();
+        let mut now = [0.0, 1.0, 3.0, 2.0];
+        all.iter().zip(now).for_each(|(&node, price)| queue.insert(node, loss(price)));
+        let mut asked = Vec::new();
+        let mut price = |node: VariableId, now: &[f64; 4]| {
+            asked.push(node.index());
+            Ok::<_, Infallible>(loss(now[node.index()]))
+        };
+        assert_eq!(queue.pop(|v| price(v, &now)), Ok(Some((all[0], loss(0.0)))));
+        now = [0.0, 5.0, 0.5, 2.0];
+        queue.removed(&all[2..3], |v| price(v, &now)).unwrap();
+        assert_eq!(queue.pop(|v| price(v, &now)), Ok(Some((all[2], loss(0.5)))));
+        queue.removed(&[], |v| price(v, &now)).unwrap();
+        assert_eq!(queue.pop(|v| price(v, &now)), Ok(Some((all[3], loss(2.0)))));
+        queue.removed(&[], |v| price(v, &now)).unwrap();
+        assert_eq!(queue.pop(|v| price(v, &now)), Ok(Some((all[1], loss(5.0)))));
+        assert_eq!(queue.pop(|v| price(v, &now)), Ok(None));
+        // The third beside the first; then each before it went, but for the third.
+        assert_eq!(asked, [2, 1, 3, 1]);
+    }
+
+    /// A landmark that sixteen see is priced again at the third change.
+    #[test]
+    fn large_neighborhoods_change_first() {
+        let all = nodes(2);
+        let mut queue = LossQueue::default();
+        queue.insert(all[0], Loss { price: 1.0, degree: 16 });
+        let mut asked = 0;
+        for expected in [0, 0, 1, 1, 1, 2] {
+            let touched = queue.removed(&all[..1], |_| {
+                asked += 1;
+                Ok::<_, Infallible>(Loss { price: 1.0, degree: 16 })
+            });
+            touched.unwrap();
+            assert_eq!(asked, expected);
+        }
+    }
+
+    #[test]
+    fn an_error_loses_no_node() {
+        let all = nodes(1);
+        let mut queue = LossQueue::default();
+        queue.insert(all[0], loss(1.0));
+        assert_eq!(queue.removed(&all, |_| Err("no")), Err("no"));
+        assert_eq!(queue.pop(|_| Err("no")), Err("no"));
+        assert_eq!(queue.pop(|_| Ok::<_, ()>(loss(1.0))), Ok(Some((all[0], loss(1.0)))));
+    }
+}
