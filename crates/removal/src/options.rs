@@ -78,7 +78,9 @@ pub enum Rank {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Guard {
-    /// Rotation of an offset, radians. Default 1.
+    /// Rotation of an offset, radians. Directions in which the factor knows less than a prior of
+    /// 1 m or 1 rad would do not count: a minimum far out there pulls as hardly as it is known.
+    /// Default 1.
     pub rotation: f64,
     /// Length of a factor's whitened residual at the estimate, standard deviations. Default 100.
     pub mahalanobis: f64,

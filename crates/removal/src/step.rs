@@ -103,6 +103,8 @@ struct Replacement {
     /// The whitened residual at the estimate, negated: `G d`.
     rhs: DVector<f64>,
     largest_rotation: f64,
+    /// As [`Guard::rotation`](crate::Guard) counts, of terms on one or two variables.
+    known_rotation: f64,
     largest_length: f64,
 }
 
@@ -196,6 +198,7 @@ impl Replacement {
             rows: DMatrix::zeros(0, target.dim()),
             rhs: DVector::zeros(0),
             largest_rotation: 0.0,
+            known_rotation: 0.0,
             largest_length: 0.0,
         }
     }
@@ -256,8 +259,7 @@ impl Replacement {
                 let own = Options { recovery, ..*options };
                 let new = Self::make(overlay, target, &potentials, sum.rows, &sum.minimum, &own)?;
                 let guard = &options.guard;
-                if new.largest_rotation <= guard.rotation && new.largest_length <= guard.mahalanobis
-                {
+                if new.known_rotation <= guard.rotation && new.largest_length <= guard.mahalanobis {
                     return Ok(Self { fallback, ..new });
                 }
                 fallback = Some(Fallback::DenseForOffset);
@@ -285,8 +287,11 @@ impl Replacement {
         let mut new = Self::nothing(target, Topology::ChowLiu);
         for potential in potentials {
             let offset = potential.part(target, &minimum);
-            new.largest_rotation =
-                new.largest_rotation.max(largest_rotation(target, potential, &offset));
+            let term = Minimum::of(target, potential, &offset);
+            new.largest_rotation = new.largest_rotation.max(term.rotation());
+            if potential.members.len() <= 2 {
+                new.known_rotation = new.known_rotation.max(term.known().rotation());
+            }
             new.largest_length = new.largest_length.max((&potential.rows * &offset).norm());
             new.made.extend(recover::make(overlay.graph, target, potential, &offset, options)?);
         }
@@ -295,21 +300,56 @@ impl Replacement {
     }
 }
 
-/// The largest turn of an offset, seen from the first member where the term is relative.
-fn largest_rotation(target: &Target, potential: &Potential, offset: &DVector<f64>) -> f64 {
-    let value = |k: usize| &target.members[potential.members[k]].value;
-    let root = offset.rows(0, value(0).dim());
-    let mut start = 0;
-    let turns = (0..potential.members.len()).map(|k| {
-        let (dim, rotation) = (value(k).dim(), rotation_part(value(k).kind()));
-        let mut own = offset.rows(start, dim).into_owned();
-        start += dim;
-        if potential.relative
-            && let Some(motion) = carried(value(0), value(k))
-        {
-            own -= motion * root;
+/// The minimum of a term, in coordinates relative to its first member where it is relative.
+struct Minimum {
+    /// First entry and rotation part of each member.
+    parts: Vec<(usize, usize, usize)>,
+    rows: DMatrix<f64>,
+    offset: DVector<f64>,
+}
+
+impl Minimum {
+    fn of(target: &Target, potential: &Potential, offset: &DVector<f64>) -> Self {
+        let value = |k: usize| &target.members[potential.members[k]].value;
+        let (mut rows, mut offset) = (potential.rows.clone(), offset.clone());
+        let root = offset.rows(0, value(0).dim()).into_owned();
+        let mut parts = Vec::with_capacity(potential.members.len());
+        let mut start = 0;
+        for k in 0..potential.members.len() {
+            let dim = value(k).dim();
+            if potential.relative
+                && let Some(motion) = carried(value(0), value(k))
+            {
+                let mut own = offset.rows_mut(start, dim);
+                own -= motion * &root;
+            }
+            parts.push((start, dim, rotation_part(value(k).kind())));
+            start += dim;
         }
-        own.rows(dim - rotation, rotation).norm()
-    });
-    turns.fold(0.0, f64::max)
+        if potential.relative {
+            rows.columns_mut(0, root.len()).fill(0.0);
+        }
+        Self { parts, rows, offset }
+    }
+
+    /// The largest turn of a member.
+    fn rotation(&self) -> f64 {
+        let turn =
+            |&(start, dim, turn): &(_, usize, _)| self.offset.rows(start + dim - turn, turn).norm();
+        self.parts.iter().map(turn).fold(0.0, f64::max)
+    }
+
+    /// Where the minimum would be beside a prior of 1 m and 1 rad at the estimate,
+    /// `(I + GᵀG)⁻¹ GᵀG d`: what is hardly known stays there.
+    fn known(mut self) -> Self {
+        let mut information = self.rows.tr_mul(&self.rows);
+        let pull = &information * &self.offset;
+        information += DMatrix::identity(pull.len(), pull.len());
+        match information.cholesky() {
+            Some(factor) => self.offset = factor.solve(&pull),
+            // Only numbers that are not finite.
+            None => self.offset.fill(f64::NAN),
+        }
+        self
+    }
 }
