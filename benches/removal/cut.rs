@@ -38,7 +38,7 @@ pub fn run(files: &[&str]) -> Result<bool, Failure> {
         let (file, poses) = file.rsplit_once(':').ok_or("a file to cut needs :POSES")?;
         let poses: usize = poses.parse()?;
         let cut = Cut::of(&read(file)?, poses)?;
-        let full = optimum(&cut.document)?;
+        let (full, _) = optimum(&cut.document)?;
         let rows: Vec<Result<String, Failure>> =
             variants().par_iter().map(|(name, options)| cut.row(&full, name, options)).collect();
         for row in rows {

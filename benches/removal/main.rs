@@ -63,16 +63,16 @@ fn replayer(document: &Document) -> Result<Replayer, ReplayerError> {
     Replayer::new(document, &ReplayOptions::default(), settings())
 }
 
-/// The whole file at its optimum. Step by step, because batch steps from some files' vertices end
-/// elsewhere.
-fn optimum(document: &Document) -> Result<Replayer, Failure> {
+/// The whole file at its optimum, and whether that was reached. Step by step, because batch steps from
+/// some files' vertices end elsewhere.
+fn optimum(document: &Document) -> Result<(Replayer, bool), Failure> {
     let mut replayer = replayer(document)?;
     while replayer.step()?.is_some() {}
-    let batch = replayer.smoother_mut().optimize(&to_the_end())?;
+    let mut batch = replayer.smoother_mut().optimize(&to_the_end())?;
     if batch.status != Status::Converged {
-        eprintln!("{}: not at its optimum: {:?}", document.name(), batch.status);
+        batch = replayer.smoother_mut().optimize(&to_the_end())?;
     }
-    Ok(replayer)
+    Ok((replayer, batch.status == Status::Converged))
 }
 
 /// What holds the map in its place is no measurement: it stays.

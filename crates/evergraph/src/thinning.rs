@@ -219,20 +219,20 @@ fn removal<'a>(smoother: &'a Smoother, rules: &Rules<'a>) -> Removal<'a> {
     Removal::new(smoother.graph(), smoother).with_options(rules.options).sparing(rules.spared)
 }
 
-/// What a removal would cost; infinite when it cannot be planned or priced.
+/// What a removal would cost.
 fn loss(
     smoother: &Smoother,
     covariances: &mut Covariances<'_>,
     node: VariableId,
     rules: &Rules<'_>,
 ) -> Result<Loss, RemovalError> {
-    let price = match removal(smoother, rules).priced_by(covariances).plan(node) {
-        Ok(plan) => plan.price().unwrap_or(f64::INFINITY),
-        Err(RemovalError::Covariance { .. }) => f64::INFINITY,
-        Err(error) if is_needed(&error) => f64::INFINITY,
-        Err(error) => return Err(error),
-    };
-    Ok(Loss { price, degree: degree(smoother.graph(), node)? })
+    let unknown = || Ok(Loss::unknown(degree(smoother.graph(), node)?));
+    match removal(smoother, rules).priced_by(covariances).plan(node) {
+        Ok(plan) => plan.steps().first().map_or_else(unknown, |step| Ok(Loss::of(step))),
+        Err(RemovalError::Covariance { .. }) => unknown(),
+        Err(error) if is_needed(&error) => unknown(),
+        Err(error) => Err(error),
+    }
 }
 
 /// Nodes that wait, and which is next.

@@ -11,7 +11,6 @@ use crate::order::{Order, shuffled};
 use crate::overlay::Overlay;
 use crate::plan::Work;
 use crate::queue::{DegreeQueue, Loss, LossQueue};
-use crate::step::Step;
 
 /// Takes all of `nodes` out, each once.
 pub(crate) fn run(
@@ -82,8 +81,8 @@ fn by_loss(work: &mut Work<'_, '_>, nodes: &[VariableId]) -> Result<(), RemovalE
 }
 
 fn loss(work: &mut Work<'_, '_>, node: VariableId) -> Result<Loss, RemovalError> {
-    let Step { price, blanket, .. } = work.draft(&[node])?.step;
-    Ok(Loss { price: price.unwrap_or(f64::INFINITY), degree: blanket.len() })
+    let step = work.draft(&[node])?.step;
+    Ok(Loss::of(&step))
 }
 
 /// Nodes that share factors with each other, connected groups of them; in the order in which the

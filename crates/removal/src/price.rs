@@ -4,6 +4,7 @@ use evergraph_model::VariableId;
 use nalgebra::{DMatrix, DVector};
 
 use crate::error::RemovalError;
+use crate::qr::triangle;
 
 /// Joint covariances of the full graph at the estimate, for example those of the clique tree
 /// ([`Covariances`](evergraph_solver::Covariances)). Closures
@@ -74,21 +75,43 @@ pub(crate) fn divergence(
     let symmetric = 0.5 * (sigma + sigma.transpose());
     let l = symmetric.cholesky()?.l();
     let (before, after) = (target * &l, new * &l);
-    let change = after.tr_mul(&after) - before.tr_mul(&before);
+    let (gone, come) = (before.tr_mul(&before), after.tr_mul(&after));
+    let pull = l.tr_mul(gradient);
     // Numbers that left the range of `f64`; an eigenvalue iteration would not end on them.
-    if change.iter().chain(gradient.iter()).any(|x| !x.is_finite()) {
+    if gone.iter().chain(come.iter()).chain(pull.iter()).any(|x| !x.is_finite()) {
         return None;
     }
-    let eigen = change.symmetric_eigen();
-    let shift = eigen.eigenvectors.tr_mul(&l.tr_mul(gradient));
-    let terms = eigen.eigenvalues.iter().zip(shift.iter()).map(|(&x, &s)| {
-        if x <= -1.0 {
-            return f64::INFINITY;
+    let change = &come - &gone;
+    // Σ (μ - 1 - ln μ) is tr(M - I) - ln det M; never below zero but for rounding.
+    let (excess, mean) = match (DMatrix::identity(l.nrows(), l.nrows()) + &change).cholesky() {
+        Some(m) => (change.trace() - log_det(m.l_dirty()), m.solve(&pull).dot(&pull)),
+        None => {
+            let root = root_of_sum(gone, &after);
+            let Some(y) = root.tr_solve_upper_triangular(&pull) else { return Some(f64::INFINITY) };
+            (change.trace() - log_det(&root), y.norm_squared())
         }
-        // μ - 1 - ln μ with μ = 1 + x; never below zero but for rounding.
-        0.5 * ((x - x.ln_1p()).max(0.0) + s * s / (1.0 + x))
-    });
-    Some(terms.sum())
+    };
+    Some(0.5 * (excess.max(0.0) + mean))
+}
+
+/// `ln det AᵀA` of a triangle.
+fn log_det(triangle: &DMatrix<f64>) -> f64 {
+    triangle.diagonal().iter().map(|x| 2.0 * x.abs().ln()).sum()
+}
+
+/// U upper triangular with `UᵀU = (I - AᵀA) + BᵀB`, where nearly all that was known of a direction goes
+/// and little comes, so that their difference is lost in rounding. `I - AᵀA`, what the rest of the map
+/// knows, is never negative, and its square root has half of the digits.
+fn root_of_sum(gone: DMatrix<f64>, after: &DMatrix<f64>) -> DMatrix<f64> {
+    let n = gone.ncols();
+    let eigen = gone.symmetric_eigen();
+    let mut stack = DMatrix::zeros(n + after.nrows(), n);
+    for (k, gone) in eigen.eigenvalues.iter().enumerate() {
+        let row = (1.0 - gone).max(0.0).sqrt() * eigen.eigenvectors.column(k).transpose();
+        stack.set_row(k, &row);
+    }
+    stack.rows_mut(n, after.nrows()).copy_from(after);
+    triangle(stack)
 }
 
 /// What earlier steps of a plan have changed in the blankets they touched.
@@ -176,5 +199,41 @@ impl Ledger {
         after: DMatrix<f64>,
     ) {
         self.changes.push(Changed { variables, dims, before, after });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn diagonal(entries: &[f64]) -> DMatrix<f64> {
+        DMatrix::from_diagonal(&DVector::from_column_slice(entries))
+    }
+
+    /// All but nothing of a direction is left: `½ (μ - 1 - ln μ)` of μ far below rounding.
+    #[test]
+    fn a_price_is_finite_while_a_direction_is_held() {
+        let (sigma, none) = (diagonal(&[4.0, 9.0]), DVector::zeros(2));
+        let target = diagonal(&[0.5, 1.0 / 3.0]);
+        for share in [1e-3_f64, 1e-7, 1e-9, 1e-12] {
+            // What is left has to be told from 1 - 1.
+            let new = diagonal(&[0.5 * share, 1.0 / 3.0]);
+            let price = divergence(&sigma, &target, &new, &none).unwrap();
+            let mu = share * share;
+            let expected = 0.5 * (mu - 1.0 - mu.ln());
+            assert!((price - expected).abs() < 1e-3, "{share}: {price} {expected}");
+        }
+        let price = divergence(&sigma, &target, &diagonal(&[0.0, 1.0 / 3.0]), &none);
+        assert_eq!(price, Some(f64::INFINITY));
+    }
+
+    #[test]
+    fn a_gradient_that_is_lost_costs_its_step() {
+        // Nothing else changes, so the mean moves by Σ δη.
+        let sigma = DMatrix::from_row_slice(2, 2, &[2.0, 0.5, 0.5, 1.0]);
+        let root = diagonal(&[0.3, 0.2]);
+        let lost = DVector::from_vec(vec![0.4, -0.1]);
+        let price = divergence(&sigma, &root, &root, &lost).unwrap();
+        assert!((price - 0.5 * lost.dot(&(&sigma * &lost))).abs() < 1e-15);
     }
 }

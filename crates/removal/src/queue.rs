@@ -1,8 +1,12 @@
 //! Nodes that wait for their removal, in the dynamic orders.
 
+use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 
 use evergraph_model::VariableId;
+
+use crate::options::Topology;
+use crate::step::Step;
 
 /// [`Order::MinDegree`](crate::Order::MinDegree): the node with the smallest Markov blanket first,
 /// ties by id.
@@ -39,8 +43,31 @@ impl DegreeQueue {
 pub struct Loss {
     /// Its price in nats; infinite when it cannot be removed or priced now, so that it goes last.
     pub price: f64,
+    /// Whether one dense factor would take the place of a tree ([`Fallback`](crate::Fallback)). That
+    /// loses nothing now, but ties all of the neighborhood together: it goes after all trees.
+    pub dense: bool,
     /// Size of its Markov blanket.
     pub degree: usize,
+}
+
+impl Loss {
+    /// Of a step that was priced.
+    pub fn of(step: &Step) -> Self {
+        Self {
+            price: step.price.unwrap_or(f64::INFINITY),
+            dense: step.fallback.is_some() && step.topology == Topology::Dense,
+            degree: step.blanket.len(),
+        }
+    }
+
+    /// Of a node that cannot be removed or priced, with `degree` neighbours.
+    pub fn unknown(degree: usize) -> Self {
+        Self { price: f64::INFINITY, dense: true, degree }
+    }
+
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.dense.cmp(&other.dense).then(self.price.total_cmp(&other.price))
+    }
 }
 
 /// [`Order::MinLoss`](crate::Order::MinLoss): the node whose removal costs least first, ties by id.
@@ -89,8 +116,8 @@ impl LossQueue {
         &mut self,
         mut price: impl FnMut(VariableId) -> Result<Loss, E>,
     ) -> Result<Option<(VariableId, Loss)>, E> {
-        let cheaper = |a: &Waiting, b: &Waiting| a.loss.price.total_cmp(&b.loss.price);
-        while let Some((&node, waiting)) = self.nodes.iter().min_by(|a, b| cheaper(a.1, b.1)) {
+        while let Some((&node, waiting)) = self.nodes.iter().min_by(|a, b| a.1.loss.cmp(&b.1.loss))
+        {
             if waiting.priced_at == self.gone {
                 let loss = waiting.loss;
                 self.nodes.remove(&node);
@@ -139,7 +166,7 @@ mod tests {
     }
 
     fn loss(price: f64) -> Loss {
-        Loss { price, degree: 2 }
+        Loss { price, dense: false, degree: 2 }
     }
 
     #[test]
@@ -183,16 +210,26 @@ mod tests {
     fn large_neighborhoods_change_first() {
         let all = nodes(2);
         let mut queue = LossQueue::default();
-        queue.insert(all[0], Loss { price: 1.0, degree: 16 });
+        queue.insert(all[0], Loss { price: 1.0, dense: false, degree: 16 });
         let mut asked = 0;
         for expected in [0, 0, 1, 1, 1, 2] {
             let touched = queue.removed(&all[..1], |_| {
                 asked += 1;
-                Ok::<_, Infallible>(Loss { price: 1.0, degree: 16 })
+                Ok::<_, Infallible>(Loss { price: 1.0, dense: false, degree: 16 })
             });
             touched.unwrap();
             assert_eq!(asked, expected);
         }
+    }
+
+    #[test]
+    fn dense_factors_wait_for_trees() {
+        let all = nodes(2);
+        let mut queue = LossQueue::default();
+        queue.insert(all[0], Loss { dense: true, ..loss(0.0) });
+        queue.insert(all[1], loss(1.0));
+        let mut next = || queue.pop(|_| Err(())).unwrap().map(|(node, _)| node);
+        assert_eq!([next(), next()], [Some(all[1]), Some(all[0])]);
     }
 
     #[test]

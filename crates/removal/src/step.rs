@@ -259,7 +259,12 @@ impl Replacement {
                 let own = Options { recovery, ..*options };
                 let new = Self::make(overlay, target, &potentials, sum.rows, &sum.minimum, &own)?;
                 let guard = &options.guard;
-                if new.known_rotation <= guard.rotation && new.largest_length <= guard.mahalanobis {
+                // Between two, a tree is what one factor would be.
+                let is_exact = target.members.len() <= 2;
+                if is_exact
+                    || new.known_rotation <= guard.rotation
+                        && new.largest_length <= guard.mahalanobis
+                {
                     return Ok(Self { fallback, ..new });
                 }
                 fallback = Some(Fallback::DenseForOffset);
