@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use clap::Args;
 use evergraph::evaluate::{Divergence, Solved};
-use evergraph::formats::{Document, spell_id};
+use evergraph::formats::{Document, ReplayOptions, spell_id};
 use evergraph::model::{Value, VariableId};
 use evergraph::solver::{BatchReport, Relinearization};
 use evergraph::{Overview, Replayer};
@@ -28,12 +28,14 @@ const EXAMPLES: &str = "\
 Examples:
   evergraph compare manhattan.g2o half.g2o
   evergraph compare manhattan.g2o pruned-by-others.g2o --report out.json
+  evergraph compare noisy.g2o noisy-half.g2o --robust
 
 FULL is optimized from its vertices (or odometry), REDUCED from that optimum; the vertices of
 REDUCED do not matter. Variables are the same where their ids are. Where REDUCED has its gauge
 prior on another pose, that of FULL moves there. Where nothing of a connected component of FULL
 is kept there is nothing to compare: how many those are is told, and the figures are of the
-others.";
+others. --robust is for both graphs, but where REDUCED has ROBUST lines, as after `remove
+--robust`, those alone are robust in it.";
 
 /// Say what a reduced graph, whoever made it, has lost of the full one.
 #[derive(Args, Debug)]
@@ -70,6 +72,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let overview = Overview::of(&document);
     let document = arguments.reading.read(&arguments.reduced, common)?;
     let document = document.with_vertices(optimum_of(&full, &document)?)?;
+    let options = as_the_file_says(&document, options);
     let mut reduced = Replayer::new(&document, &options, settings)?;
     let batch = solve(&mut reduced).map_err(|error| error.with_gauge(prior, &document))?;
     let priors = anchor_alike(&mut full, &reduced, &overview)?;
@@ -133,6 +136,13 @@ fn solve(replayer: &mut Replayer) -> Result<BatchReport, Error> {
     replayer.everything()?;
     let batch = replayer.smoother_mut().optimize(&to_the_end());
     batch.map_err(|source| unsolvable(replayer, source))
+}
+
+/// A reduced graph with ROBUST lines says itself which of its edges are robust: ordinary edges that stand
+/// for removed nodes are not, having the weights of when those went.
+fn as_the_file_says(reduced: &Document, options: ReplayOptions) -> ReplayOptions {
+    let kernel = options.kernel.filter(|_| reduced.summary().robust == 0);
+    ReplayOptions { kernel, ..options }
 }
 
 /// Where the full graph's optimum has the variables of the reduced document.

@@ -172,3 +172,53 @@ fn components_that_measurements_of_the_world_hold() {
         .run("compare full.g2o loose.g2o")
         .failed(1, &["loose.g2o", "where the part of pose 20 lies", "measurements"]);
 }
+
+/// A world with closures that are false.
+fn with_outliers(folder: &Folder) -> String {
+    folder.run("simulate manhattan --poses 150 --seed 4 --output world.g2o").done();
+    let mut text = folder.read("world.g2o");
+    for (from, to) in [(10, 90), (25, 140), (40, 77), (61, 120), (3, 132)] {
+        text.push_str(&format!("EDGE_SE2 {from} {to} 1 0.5 0.3 400 0 0 400 0 2500\n"));
+    }
+    text
+}
+
+/// `remove` writes kernels and frozen weights into the file; the option adds nothing to those.
+#[test]
+fn robust_graphs_are_compared_as_they_were_when_nodes_were_removed() {
+    let folder = Folder::new();
+    let text = with_outliers(&folder);
+    folder.write("noisy.g2o", &text);
+    for (kernel, recovery) in [
+        ("--robust", "glc"),
+        ("--robust=huber:0.5", "glc"),
+        ("--robust=pseudo-huber:0.7", "glc"),
+        ("--robust=huber:0.5", "nonlinear"),
+    ] {
+        let removed = format!(
+            "remove noisy.g2o {kernel} --recovery {recovery} --fraction 0.4 --order min-degree"
+        );
+        folder.run(&format!("{removed} --output half.g2o --report removed.json")).done();
+        let half = folder.read("half.g2o");
+        let summary = if recovery == "glc" { "\nFACTOR_LINEAR" } else { "\nEDGE_SE2" };
+        assert!(half.contains("\nROBUST") && half.contains(summary), "{half}");
+        folder.run(&format!("compare noisy.g2o half.g2o {kernel} --report compared.json")).done();
+        let (removed, compared) = (folder.json("removed.json"), folder.json("compared.json"));
+        check(&compared);
+        assert!(number(&removed, "kld_covariance") > 0.1, "{removed}");
+        for field in ["kld_covariance", "kld_covariance_per_dof", "kld_total", "log_det_ratio"] {
+            let (removed, compared) = (number(&removed, field), number(&compared, field));
+            let off = (removed - compared).abs();
+            assert!(off < 1e-6 * removed.abs(), "{kernel}: {field} {removed} {compared}");
+        }
+        assert!(number(&compared, "max_shift_m") < 1e-4, "{compared}");
+        if recovery == "nonlinear" {
+            continue;
+        }
+        // Linear factors say by themselves that they stand for others.
+        folder.run("optimize half.g2o --report bare.json").done();
+        folder.run(&format!("optimize half.g2o {kernel} --report again.json")).done();
+        let [bare, again] = ["bare.json", "again.json"].map(|name| folder.json(name));
+        assert_eq!(number(&bare, "error"), number(&again, "error"));
+    }
+}
