@@ -121,6 +121,42 @@ fn a_list_is_followed_in_its_order() {
     assert_eq!(report["settings"]["order"], "given");
 }
 
+/// As PyFactorGraph files have them, as messages print them, and as numbers.
+#[test]
+fn a_list_may_name_nodes() {
+    let text = "\
+VERTEX_SE2 0 A0 0 0 0
+VERTEX_SE2 1 A1 1 0 0
+VERTEX_SE2 2 A12 2 0 0
+VERTEX_XY L0 1 1
+EDGE_SE2 1 A0 A1 1 0 0 0.01 0 0 0.01 0 0.0025
+EDGE_SE2 2 A1 A12 1 0 0 0.01 0 0 0.01 0 0.0025
+EDGE_SE2_XY 1 A0 L0 1 1 0.01 0 0.01
+EDGE_SE2_XY 2 A12 L0 -1 1 0.01 0 0.01
+";
+    let folder = Folder::with("map.pyfg", text);
+    let (a1, a12, l0) = (65_u64 << 56 | 1, 65_u64 << 56 | 12, 76_u64 << 56);
+    for list in [
+        "L0\nA12\n".to_string(),
+        format!("{l0}\nA12\r\n"),
+        format!("# as printed\nL0 ({l0})\n  A12 ({a12})  \n"),
+    ] {
+        folder.write("list.txt", &list);
+        folder.run("remove map.pyfg --nodes list.txt --report out.json").done();
+        assert_eq!(folder.json("out.json")["removed_ids"], Value::from(vec![l0, a12]), "{list}");
+    }
+    for (list, parts) in [
+        ("A1\nA2\n".into(), ["list.txt:2", "A2 (4683743612465315842) is no variable of map.pyfg"]),
+        ("A1\nA01\n".into(), ["list.txt:2", "`A01` is not an id"]),
+        ("A1\n\nL0 (7)\n".into(), ["list.txt:3", "`L0 (7)` is not an id"]),
+        (format!("A1\n{a1}\n"), ["list.txt:2", "was given before, in line 1"]),
+        ("A1\nA0\n".into(), ["list.txt:2", "holds the gauge"]),
+    ] {
+        folder.write("list.txt", &list);
+        folder.run("remove map.pyfg --nodes list.txt").failed(1, &parts);
+    }
+}
+
 #[test]
 fn a_list_that_makes_no_sense_is_told_by_line() {
     let folder = Folder::with("square.g2o", SQUARE);
