@@ -1,17 +1,18 @@
 //! `evergraph compare`.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Args;
-use evergraph::Replayer;
 use evergraph::evaluate::{Divergence, Solved};
-use evergraph::factors::Prior;
-use evergraph::formats::{GaugePrior, spell_id};
-use evergraph::model::{Change, Graph, Noise, Pose2, Pose3, Value, VariableId};
+use evergraph::formats::{Document, ReplayOptions, spell_id};
+use evergraph::model::{Value, VariableId};
 use evergraph::solver::{BatchReport, Relinearization};
+use evergraph::{Overview, Replayer};
 use serde_json::{Map, json};
 
+use crate::anchor::anchor_alike;
 use crate::error::Error;
 use crate::files;
 use crate::options::{Common, Reading, Solving, StartFrom};
@@ -27,10 +28,14 @@ const EXAMPLES: &str = "\
 Examples:
   evergraph compare manhattan.g2o half.g2o
   evergraph compare manhattan.g2o pruned-by-others.g2o --report out.json
+  evergraph compare noisy.g2o noisy-half.g2o --robust
 
-FULL is optimized from its vertices (or odometry), REDUCED from that optimum; the vertices of REDUCED
-do not matter. Variables are the same where their ids are. Where REDUCED has its gauge prior on another
-pose, that of FULL moves there.";
+FULL is optimized from its vertices (or odometry), REDUCED from that optimum; the vertices of
+REDUCED do not matter. Variables are the same where their ids are. Where REDUCED has its gauge
+prior on another pose, that of FULL moves there. Where nothing of a connected component of FULL
+is kept there is nothing to compare: how many those are is told, and the figures are of the
+others. --robust is for both graphs, but where REDUCED has ROBUST lines, as after `remove
+--robust`, those alone are robust in it.";
 
 /// Say what a reduced graph, whoever made it, has lost of the full one.
 #[derive(Args, Debug)]
@@ -64,11 +69,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let document = arguments.reading.read(&arguments.full, common)?;
     let mut full = Replayer::new(&document, &options, settings)?;
     let first = solve(&mut full).map_err(|error| error.with_gauge(prior, &document))?;
+    let overview = Overview::of(&document);
     let document = arguments.reading.read(&arguments.reduced, common)?;
     let document = document.with_vertices(optimum_of(&full, &document)?)?;
+    let options = as_the_file_says(&document, options);
     let mut reduced = Replayer::new(&document, &options, settings)?;
     let batch = solve(&mut reduced).map_err(|error| error.with_gauge(prior, &document))?;
-    let priors = anchor_alike(&mut full, &reduced)?;
+    let priors = anchor_alike(&mut full, &reduced, &overview)?;
+    let gone = components_gone(&full, &reduced, &overview);
 
     let kept = pairs(&full, &reduced)?;
     let (was, is) = (full.smoother().estimates(), reduced.smoother().estimates());
@@ -98,6 +106,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         ("reduced", json!(names[1])),
         ("settings", settings_json),
         ("removed", json!(reduction.before.variables - reduction.after.variables)),
+        ("components_gone", json!(gone)),
     ] {
         report.insert(field.into(), value);
     }
@@ -113,6 +122,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let mut rows = Rows::new("full graph", &names[0]);
     rows.add("reduced graph", &names[1]);
     reduction.show(&mut rows);
+    if gone > 0 {
+        let of = if gone == 1 { "component" } else { "components" };
+        rows.add("not compared", format!("{gone} {of} of which nothing is kept"));
+    }
     rows.add("reduced graph, solved", reduction::ended(&batch));
     rows.add("total time", milliseconds(1e3 * begun.elapsed().as_secs_f64()));
     output.result(&rows)
@@ -125,11 +138,15 @@ fn solve(replayer: &mut Replayer) -> Result<BatchReport, Error> {
     batch.map_err(|source| unsolvable(replayer, source))
 }
 
+/// A reduced graph with ROBUST lines says itself which of its edges are robust: ordinary edges that stand
+/// for removed nodes are not, having the weights of when those went.
+fn as_the_file_says(reduced: &Document, options: ReplayOptions) -> ReplayOptions {
+    let kernel = options.kernel.filter(|_| reduced.summary().robust == 0);
+    ReplayOptions { kernel, ..options }
+}
+
 /// Where the full graph's optimum has the variables of the reduced document.
-fn optimum_of(
-    full: &Replayer,
-    reduced: &evergraph::formats::Document,
-) -> Result<Vec<(u64, Value)>, Error> {
+fn optimum_of(full: &Replayer, reduced: &Document) -> Result<Vec<(u64, Value)>, Error> {
     let estimates = full.smoother().estimates();
     let ids = reduced.ids().into_iter();
     ids.map(|(id, kind)| {
@@ -168,73 +185,12 @@ fn pairs(full: &Replayer, reduced: &Replayer) -> Result<Vec<(VariableId, Variabl
     reduced.replay().ids().map(pair).collect()
 }
 
-/// Puts the gauge priors of the full graph where the reduced graph has its own, and says which they
-/// are. At the optimum of relative measurements that moves nothing.
-fn anchor_alike(
-    full: &mut Replayer,
-    reduced: &Replayer,
-) -> Result<Vec<evergraph::model::FactorId>, Error> {
-    let (is, should) = (full.replay().gauge_priors(), reduced.replay().gauge_priors());
-    let place = |prior: &GaugePrior| (prior.id, prior.directions);
-    let stays = |prior: &GaugePrior| is.iter().any(|it| place(it) == place(prior));
-    // A graph that came from another may hold what the prior says in its own factors.
-    if should.iter().all(stays) {
-        return Ok(gauge_factors(full));
-    }
-    let not_reduced = |problem: String| Error::NotReduced {
-        full: full.name().into(),
-        reduced: reduced.name().into(),
-        problem,
+/// How many connected components of the full graph are gone as a whole.
+fn components_gone(full: &Replayer, reduced: &Replayer, overview: &Overview) -> usize {
+    let components = |replayer: &Replayer| -> BTreeSet<usize> {
+        let replay = replayer.replay();
+        let of = |(id, variable)| overview.component_of(id, replay.pose(id) == Some(variable));
+        replay.ids().filter_map(of).collect()
     };
-    if should.len() != is.len() {
-        return Err(not_reduced(format!(
-            "it falls into {} parts whose place nothing tells, the full graph into {}, and what was \
-             known between them is lost",
-            should.len(),
-            is.len()
-        )));
-    }
-    let mut change = full.smoother().change();
-    for prior in is {
-        change.drop_factor(prior.factor);
-    }
-    let mut factors = Vec::new();
-    for prior in should {
-        let variable = full.replay().pose(prior.id);
-        let moved = variable.and_then(|variable| {
-            let value = full.smoother().estimate_value(variable).ok()?;
-            add_prior(full.graph(), &mut change, variable, &value, prior)
-        });
-        factors.push(moved.ok_or_else(|| {
-            let id = spell_id(prior.id);
-            not_reduced(format!(
-                "its gauge is held at pose {id}, in {} directions, where that of the full graph is not",
-                prior.directions
-            ))
-        })?);
-    }
-    let applied = full.smoother_mut().apply(change).map(drop);
-    let optimized = applied.and_then(|()| full.smoother_mut().optimize(&to_the_end()).map(drop));
-    optimized.map_err(|source| unsolvable(full, source))?;
-    Ok(factors)
-}
-
-/// A prior on all of a pose, at `value`.
-fn add_prior(
-    graph: &Graph,
-    change: &mut Change,
-    variable: VariableId,
-    value: &Value,
-    like: &GaugePrior,
-) -> Option<evergraph::model::FactorId> {
-    if like.directions != value.dim() {
-        return None;
-    }
-    let noise = Noise::isotropic(value.dim(), like.sigma).ok()?;
-    if let Some(pose) = value.get::<Pose2>() {
-        let key = graph.key::<Pose2>(variable).ok()?;
-        return Some(change.add_factor(Prior::new(key, pose, noise).ok()?));
-    }
-    let key = graph.key::<Pose3>(variable).ok()?;
-    Some(change.add_factor(Prior::new(key, value.get::<Pose3>()?, noise).ok()?))
+    components(full).difference(&components(reduced)).count()
 }

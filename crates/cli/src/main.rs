@@ -1,6 +1,7 @@
 //! The `evergraph` program: replay, optimize, reduce, evaluate, measure, inspect, convert and simulate pose graphs.
 #![forbid(unsafe_code)]
 
+mod anchor;
 mod audit;
 mod bench;
 mod compare;

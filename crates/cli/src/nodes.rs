@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use evergraph::Replayer;
-use evergraph::formats::spell_id;
+use evergraph::formats::{parse_id, spell_id};
 use evergraph::model::VariableId;
 
 use crate::error::Error;
@@ -23,7 +23,8 @@ pub(crate) struct Choice {
     /// All poses but each K-th in the order of the file, the first included; landmarks stay
     #[arg(long, value_name = "K")]
     pub keep_every: Option<NonZeroUsize>,
-    /// The nodes of this file: ids, one in a line; blank lines and `#` lines are passed over
+    /// The nodes of this file, one in a line: ids, or names as PyFactorGraph and messages have them
+    /// (A12, L0); blank lines and `#` lines are passed over
     #[arg(long, value_name = "LIST-FILE")]
     pub nodes: Option<PathBuf>,
 }
@@ -92,9 +93,12 @@ fn read_list(
         if word.is_empty() || word.starts_with('#') {
             continue;
         }
-        let id: u64 = word.parse().map_err(|_| {
+        let id = parse_id(word).ok_or_else(|| {
             let shown: String = word.chars().take(40).collect();
-            refused(format!("`{shown}` is not an id; a line holds one whole number from 0 on"))
+            refused(format!(
+                "`{shown}` is not an id; a line holds one whole number from 0 on, or one name such \
+                 as A12"
+            ))
         })?;
         let (name, file) = (spell_id(id), replayer.name());
         let variable = replayer.replay().variable(id).ok_or_else(|| {

@@ -234,8 +234,10 @@ pub(crate) struct Solving {
     /// How cliques are eliminated
     #[arg(long, value_enum, default_value = "cholesky")]
     pub elimination: EliminationName,
-    /// Robust kernel around every edge: huber or pseudo-huber, with a threshold in standard
-    /// deviations if not 1.345, as in --robust=huber:1.0 [without a value: huber]
+    /// Robust kernel around every edge that has none of its own in the file: huber or pseudo-huber,
+    /// with a threshold in standard deviations if not 1.345, as in --robust=huber:1.0. Never around
+    /// linear factors (FACTOR_LINEAR), which stand for many edges at the weights that those had
+    /// [without a value: huber]
     #[arg(long, value_name = "KERNEL", num_args = 0..=1, require_equals = true, default_missing_value = "huber", value_parser = kernel)]
     pub robust: Option<Kernel>,
     /// Former name of --robust

@@ -26,7 +26,9 @@ fn samples_end_at_their_optima() {
         let error = number(&report, "error");
         assert!(error > optimum - 1e-6 && error < optimum * (1.0 + 1e-4), "{name}: {error}");
         assert_eq!(report["status"], "converged");
-        assert_eq!(number(&report, "chi2"), 2.0 * error);
+        // serde_json reads numbers of 17 digits to within a bit.
+        let off = number(&report, "chi2") - 2.0 * error;
+        assert!(off.abs() <= 4.0 * f64::EPSILON * error, "{report}");
     }
 }
 

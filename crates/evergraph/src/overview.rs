@@ -81,9 +81,15 @@ impl Overview {
         overview
     }
 
+    /// Which of [`components`](Self::components) a variable is part of; a pose and a landmark may have
+    /// the same id.
+    pub fn component_of(&self, id: u64, is_pose: bool) -> Option<usize> {
+        self.members.get(&(id, is_pose)).copied()
+    }
+
     /// The component that a pose is part of.
     pub fn component_of_pose(&self, id: u64) -> Option<&Component> {
-        self.components.get(*self.members.get(&(id, true))?)
+        self.components.get(self.component_of(id, true)?)
     }
 }
 
@@ -130,6 +136,8 @@ mod tests {
             Component { first: 8, poses: 2, landmarks: 1 },
         ];
         assert_eq!(overview.components, expected);
+        let of = |id, is_pose| overview.component_of(id, is_pose);
+        assert_eq!((of(6, true), of(20, false), of(20, true)), (Some(0), Some(1), None));
         assert_eq!((overview.repeated_pairs, overview.repeated_edges), (1, 1));
         assert_eq!((overview.pose_ids, overview.landmark_ids), (Some((5, 9)), Some((20, 20))));
         assert_eq!(overview.records["edges to a 2D pose"], 3);

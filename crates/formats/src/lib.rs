@@ -120,7 +120,7 @@ mod write_line;
 pub use document::{Document, Skipped, Summary};
 pub use error::{Field, FormatError, Place};
 pub use measurement::{LinearMeasurement, Measurement, Quantity};
-pub use names::spell_id;
+pub use names::{parse_id, spell_id};
 pub use options::{Dialect, G2oRotation, ReadOptions, WriteOptions};
 pub use record::{Coordinates, Kind, Line, Record};
 pub use replay::{GaugePrior, Initial, Replay, ReplayOptions, Step, StepKind};

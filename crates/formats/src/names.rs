@@ -64,6 +64,23 @@ pub fn spell_id(id: u64) -> String {
     }
 }
 
+/// The id that a reader's word stands for: a number, a name, or both as [`spell_id`] prints them;
+/// `None` for anything else.
+///
+/// ```
+/// use evergraph_formats::{parse_id, spell_id};
+/// assert_eq!((parse_id("17"), parse_id("L7")), (Some(17), Some(5_476_377_146_882_523_143)));
+/// assert_eq!(parse_id(&spell_id(5_476_377_146_882_523_143)), Some(5_476_377_146_882_523_143));
+/// ```
+pub fn parse_id(word: &str) -> Option<u64> {
+    if word.starts_with(|first: char| first.is_ascii_digit()) {
+        return word.parse().ok();
+    }
+    let name = word.split_once(' ').map_or(word, |(name, _)| name);
+    let id = parse(name)?;
+    (word == name || word == spell_id(id)).then_some(id)
+}
+
 /// Whether the id is that of no name, so that it gets one when it is written.
 pub(crate) fn is_new(id: u64) -> bool {
     id >> INDEX_BITS == 0
@@ -165,5 +182,30 @@ mod tests {
         assert_eq!(of(3, Kind::Point2).unwrap(), "L3");
         assert_eq!(of(u64::MAX, Kind::Pose2), None);
         assert_eq!((kind(76 << 56, true), kind(65 << 56, false)), (Kind::Point3, Kind::Pose2));
+    }
+    #[test]
+    fn a_spelled_id_is_read_back() {
+        for id in [0, 17, u64::MAX, 65 << 56, 76 << 56 | 7, (91 << 56) - 1] {
+            assert_eq!(parse_id(&spell_id(id)), Some(id));
+        }
+        assert_eq!(parse_id("A12"), Some(65 << 56 | 12));
+        for word in [
+            "",
+            "-1",
+            "+1",
+            "1.0",
+            "1 2",
+            "18446744073709551616",
+            "L",
+            "L07",
+            "L7 (7)",
+            "L7 5476377146882523143",
+            "L7 (5476377146882523143) ",
+            "AB1",
+            "three",
+            "nan",
+        ] {
+            assert_eq!(parse_id(word), None, "{word}");
+        }
     }
 }

@@ -2,6 +2,8 @@
 
 mod common;
 
+use std::collections::HashMap;
+
 use evergraph_formats::{
     Coordinates, Dialect, Document, EntryOrder, FormatError, G2oRotation, Initial, ReadOptions,
     Record, Replay, ReplayOptions, WeightKind, WriteOptions,
@@ -308,6 +310,37 @@ fn kernels_wrap_the_factors_of_the_file_only() {
     replay.everything(&mut change).unwrap();
     let names: Vec<String> = change.new_factors().iter().map(|(_, factor)| factor.name()).collect();
     assert_eq!(names, ["Prior<Pose2>", "Robust<Between<Pose2>, Huber>"]);
+}
+
+/// What `remove` wrote from a graph under a kernel means the same when the kernel is asked for again.
+#[test]
+fn kernels_are_not_put_around_factors_that_have_one_or_are_sums() {
+    let lines = [
+        "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1",
+        "ROBUST pseudo_huber 2 EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1",
+        "FACTOR_LINEAR none 2 SE2 0 0 0 0 SE2 1 1 0 0 1 1 0 0 -1 0 0 0 0 0 0 0 0",
+        "ROBUST huber 3 FACTOR_LINEAR none 2 SE2 0 0 0 0 SE2 1 1 0 0 1 1 0 0 -1 0 0 0 0 0 0 0 0",
+        "EDGE_PRIOR_SE2 0 0 0 0 1 0 0 1 0 1",
+    ];
+    let document = parse(&lines.join("\n"));
+    let options =
+        ReplayOptions { kernel: Some(Kernel::huber(1.0).unwrap()), ..ReplayOptions::default() };
+    let mut replay = Replay::new(&document, &options).unwrap();
+    let mut change = Graph::new().change();
+    replay.everything(&mut change).unwrap();
+    let lines: HashMap<_, _> = replay.factors().iter().copied().collect();
+    let factors = change.new_factors().iter();
+    let mut names: Vec<(usize, String)> =
+        factors.filter_map(|(id, factor)| Some((*lines.get(id)?, factor.name()))).collect();
+    names.sort_unstable();
+    let expected = [
+        (1, "Robust<Between<Pose2>, Huber>"),
+        (2, "Robust<Between<Pose2>, PseudoHuber>"),
+        (3, "Linear"),
+        (4, "Robust<Linear, Huber>"),
+        (5, "Prior<Pose2>"),
+    ];
+    assert_eq!(names, expected.map(|(line, name)| (line, name.to_string())));
 }
 
 #[test]

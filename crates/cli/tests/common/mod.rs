@@ -128,3 +128,38 @@ pub fn sample(name: &str) -> String {
 pub fn number(report: &Value, field: &str) -> f64 {
     report[field].as_f64().unwrap_or_else(|| panic!("`{field}` is no number in {report}"))
 }
+
+/// Every field that a report of `remove` or `compare` has to have, and what any removal at the optimum
+/// obeys.
+#[track_caller]
+pub fn check_reduction(report: &Value) {
+    for field in [
+        "removed",
+        "variables_before",
+        "variables_after",
+        "factors_before",
+        "factors_after",
+        "nnz_before",
+        "nnz_after",
+        "factor_nnz_before",
+        "factor_nnz_after",
+        "kld_covariance",
+        "kld_covariance_per_dof",
+        "kld_mean",
+        "kld_total",
+        "log_det_ratio",
+        "mean_shift_m",
+        "rms_shift_m",
+        "max_shift_m",
+        "degrees_of_freedom",
+    ] {
+        assert!(number(report, field).is_finite());
+    }
+    let [before, after, removed] =
+        ["variables_before", "variables_after", "removed"].map(|field| number(report, field));
+    assert_eq!(before - after, removed);
+    assert!(number(report, "kld_covariance") > -1e-8, "{report}");
+    assert!(number(report, "kld_mean") >= 0.0);
+    assert!(number(report, "mean_shift_m") <= number(report, "rms_shift_m"));
+    assert!(number(report, "rms_shift_m") <= number(report, "max_shift_m"));
+}

@@ -1,0 +1,136 @@
+//! `evergraph remove`.
+
+mod arguments;
+mod document;
+mod told;
+
+use std::time::Instant;
+
+pub(crate) use arguments::Arguments;
+use evergraph::evaluate::{Divergence, Solved};
+use evergraph::formats::WriteOptions;
+use evergraph::solver::BatchReport;
+use evergraph::{Replayer, Rules, Thinning};
+use serde_json::{Map, json};
+
+use self::document::reduced_document;
+use self::told::Told;
+use crate::convert;
+use crate::error::Error;
+use crate::files;
+use crate::nodes::Candidates;
+use crate::options::StartFrom;
+use crate::output::Output;
+use crate::progress::Progress;
+use crate::reduction::{
+    self, Reduction, Size, gauge_factors, incomparable, to_the_end, warn_of_ends,
+};
+use crate::replay::{unsolvable, warn_of_landmarks};
+use crate::report::{self, SCHEMA};
+use crate::table::{Rows, milliseconds};
+
+pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
+    let begun = Instant::now();
+    let common = &arguments.common;
+    let output = Output::new(common);
+    let settings =
+        arguments.solving.settings(arguments.policy.relinearization("remove")?, common.threads());
+    let document = arguments.reading.read(&arguments.file, common)?;
+    arguments.check_targets(&document)?;
+    let options = arguments.solving.replay_options(StartFrom::File);
+    let mut replayer = Replayer::new(&document, &options, settings)?;
+    let (nodes, first) = start(&mut replayer, arguments)
+        .map_err(|error| error.with_gauge(arguments.solving.prior.0, &document))?;
+
+    let mut full = replayer.smoother().clone();
+    let progress = Progress::new(nodes.count, output.is_interactive());
+    let thinning = thin(&mut replayer, &nodes, arguments, progress)?;
+    let explain = |source| unsolvable(&replayer, source);
+    let first = match first {
+        Some(first) => first,
+        None => full.optimize(&to_the_end()).map_err(explain)?,
+    };
+    let mut reduced = replayer.smoother().clone();
+    let batch = reduced.optimize(&to_the_end()).map_err(explain)?;
+    // Before the long work of the metrics.
+    if let Some(path) = &arguments.output {
+        let name = path.display().to_string();
+        let document = reduced_document(&name, &replayer, &reduced, &document)?;
+        let written = files::write_document(path, &document, WriteOptions { plain: false })?;
+        convert::tell(&written, path, output);
+    }
+    let priors = gauge_factors(&replayer);
+    let (was, is) = (full.estimates(), reduced.estimates());
+    let divergence = Divergence::of(
+        Solved { graph: full.graph(), estimates: &was },
+        Solved { graph: reduced.graph(), estimates: &is },
+        &reduction::same(&reduced),
+        &settings,
+    );
+    let reduction = Reduction {
+        before: Size::of(&full, &priors),
+        after: Size::of(&reduced, &priors),
+        divergence: divergence.map_err(|error| incomparable(&replayer, error))?,
+    };
+
+    let told = Told::of(&thinning, &replayer);
+    let mut report = Map::new();
+    let dataset = report::file_name(&arguments.file);
+    report.insert("schema".into(), json!(SCHEMA));
+    report.insert("command".into(), json!("remove"));
+    report.insert("dataset".into(), json!(dataset));
+    report.insert("settings".into(), arguments.json(&settings)?);
+    told.add_to(&mut report);
+    reduction.add_to(&mut report);
+    report.insert("first_optimization".into(), serde_json::to_value(first)?);
+    report.insert("optimization".into(), serde_json::to_value(batch)?);
+    report.insert("peak_rss_mb".into(), json!(report::peak_rss_mb()));
+    report.insert("total_s".into(), json!(begun.elapsed().as_secs_f64()));
+    report::save(common.report.as_deref(), &report)?;
+    warn_of_landmarks(&replayer, output);
+    warn_of_ends(&[("full", &first), ("reduced", &batch)], output);
+
+    let mut rows = Rows::new("data set", &dataset);
+    told.show(&mut rows);
+    reduction.show(&mut rows);
+    rows.add("optimized again", reduction::ended(&batch));
+    rows.add("total time", milliseconds(1e3 * begun.elapsed().as_secs_f64()));
+    output.result(&rows)
+}
+
+/// Brings everything in, solves it, and chooses.
+fn start(
+    replayer: &mut Replayer,
+    arguments: &Arguments,
+) -> Result<(Candidates, Option<BatchReport>), Error> {
+    replayer.everything()?;
+    // A list that makes no sense is told before the work.
+    let nodes = arguments.choice.candidates(replayer)?;
+    if arguments.no_optimize {
+        return Ok((nodes, None));
+    }
+    let batch = replayer.smoother_mut().optimize(&to_the_end());
+    Ok((nodes, Some(batch.map_err(|source| unsolvable(replayer, source))?)))
+}
+
+fn thin(
+    replayer: &mut Replayer,
+    nodes: &Candidates,
+    arguments: &Arguments,
+    progress: Progress,
+) -> Result<Thinning, Error> {
+    let rules = Rules {
+        order: arguments.order(),
+        at_most: nodes.count,
+        options: arguments.options(),
+        spared: &gauge_factors(replayer),
+        prices: !arguments.no_price,
+    };
+    let thinning = Thinning::run(replayer.smoother_mut(), &nodes.nodes, &rules, || progress.tick());
+    progress.finish();
+    thinning.map_err(|source| Error::Removal {
+        file: replayer.name().into(),
+        message: replayer.explain_thinning(&source),
+        source: Box::new(source),
+    })
+}
