@@ -23,7 +23,8 @@ use crate::root_shift::{Chart, RootShift, coordinates};
 ///
 /// Columns of `G` follow the variables, each in the order of its tangent. With `cₖ` the
 /// coordinates and `lₖ = Local(ĉₖ, cₖ)`, the Jacobian holds away from the linearization point too:
-/// `Gₖ Jr⁻¹(lₖ)` for the coordinate's own variable, and `-Gₖ Jr⁻¹(lₖ) Ad(cₖ⁻¹)` for the root.
+/// `Gₖ Jr⁻¹(lₖ)` for the coordinate's own variable, and `-Gₖ Jr⁻¹(lₖ) Ad(cₖ⁻¹)` for the root; of a
+/// point that is seen from it `Gₖ C₁ᵀ` and `-Gₖ [I -[cₖ]×]`.
 /// Variables of types from outside this library have the derivative of their `Local` taken
 /// numerically.
 ///
@@ -189,13 +190,14 @@ impl Factor for Linear {
             let dim = self.dim(k);
             let mut jacobian = Block::from_elem(0.0, dim * dim);
             self.charts[k].local_jacobian(&self.coordinates[k], coordinate, &local, &mut jacobian);
-            if self.charts[k].follows_its_variable() {
-                self.add_product(k, &jacobian, 1.0, out.block_mut(k));
-            }
             if self.charts[k].follows_the_root() {
-                let mut by_root = Block::from_elem(0.0, dim * dim);
+                let mut by_root = Block::from_elem(0.0, dim * self.dim(0));
                 self.charts[k].transport(coordinate, &jacobian, &mut by_root);
                 self.add_product(k, &by_root, -1.0, out.block_mut(0));
+            }
+            if self.charts[k].follows_its_variable() {
+                self.charts[k].turn(at.storage(0), &mut jacobian);
+                self.add_product(k, &jacobian, 1.0, out.block_mut(k));
             }
         }
     }

@@ -3,7 +3,7 @@
 use evergraph_model::{
     LieGroup, Manifold, Point2, Point3, Pose2, Pose3, Rot2, Rot3, Value, VariableType, VectorN,
 };
-use nalgebra::{DMatrix, SMatrix};
+use nalgebra::{DMatrix, SMatrix, SVector};
 use serde::{Deserialize, Serialize};
 
 use crate::error::FactorError;
@@ -13,15 +13,16 @@ use crate::prior::LocalJacobian;
 ///
 /// A good linearization point for where poses stand to each other is known long before one for
 /// where they stand in the world (section II-C of the GLC paper). With a shift the first variable,
-/// a pose, is the root; every other pose of the root's type is seen from it; variables of other
-/// kinds stay as they are.
+/// a pose, is the root; every other pose of the root's type and every point of its world is seen from
+/// it; variables of other kinds stay as they are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RootShift {
     /// `(x₁, x₂, …)`: linear in the world frame.
     None,
-    /// `(x₁, x₁⁻¹ x₂, …)`. For a pair the derivative is `[I 0; -Ad((x₁⁻¹ x₂)⁻¹) I]`: nothing of the
-    /// size of the world enters.
+    /// `(x₁, x₁⁻¹ x₂, …)`. For a pair of poses the derivative is `[I 0; -Ad((x₁⁻¹ x₂)⁻¹) I]`: nothing
+    /// of the size of the world enters. For a point `p`, `c = x₁⁻¹ p = C₁ᵀ (p - t₁)` and the derivative
+    /// is `[-[I -[c]×]  C₁ᵀ]` (in the plane `[-[I J c]  C₁ᵀ]`, J the quarter turn).
     Root,
     /// `(x₁⁻¹, x₁⁻¹ x₂, …)`: equation 5 of the paper. The same information as [`Root`](Self::Root)
     /// at the linearization point, with entries that grow with the distance to the origin.
@@ -40,19 +41,25 @@ impl RootShift {
         let mut jacobian = DMatrix::zeros(width, width);
         let mut row = 0;
         for ((chart, coordinate), point) in charts.iter().zip(&coordinates).zip(points) {
-            let n = point.dim();
-            let identity = DMatrix::<f64>::identity(n, n);
-            if chart.follows_its_variable() {
-                jacobian.view_mut((row, row), (n, n)).copy_from(&identity);
-            }
+            let (n, of_root) = (point.dim(), points[0].dim());
+            let mut own = DMatrix::<f64>::identity(n, n);
             if chart.follows_the_root() {
-                let mut by_root = DMatrix::zeros(n, n);
-                chart.transport(coordinate.storage(), identity.as_slice(), by_root.as_mut_slice());
-                jacobian.view_mut((row, 0), (n, n)).copy_from(&-by_root);
+                let mut by_root = DMatrix::zeros(n, of_root);
+                chart.transport(coordinate.storage(), own.as_slice(), by_root.as_mut_slice());
+                jacobian.view_mut((row, 0), (n, of_root)).copy_from(&-by_root);
+            }
+            if chart.follows_its_variable() {
+                chart.turn(points[0].storage(), own.as_mut_slice());
+                jacobian.view_mut((row, row), (n, n)).copy_from(&own);
             }
             row += n;
         }
         Ok(jacobian)
+    }
+
+    /// Whether a variable that is not the first is seen from the first.
+    pub fn sees(self, root: &VariableType, kind: &VariableType) -> bool {
+        self != Self::None && is_seen(root, kind)
     }
 
     /// The coordinates `r(x)` at `points`.
@@ -74,7 +81,7 @@ pub(crate) fn coordinates(
         let seen = match (shift, k) {
             (RootShift::None, _) | (RootShift::Root, 0) => Seen::AsItIs,
             (RootShift::InverseRoot, 0) => Seen::Inverted,
-            _ if kind == points[0].kind() => Seen::FromTheRoot,
+            _ if is_seen(points[0].kind(), kind) => Seen::FromTheRoot,
             _ => Seen::AsItIs,
         };
         Chart { seen, group: Group::of(kind) }
@@ -89,6 +96,15 @@ pub(crate) fn coordinates(
     let coordinates =
         charts.iter().zip(points).map(|(chart, point)| chart.value(&points[0], point)).collect();
     Ok((charts, coordinates))
+}
+
+/// Whether a pose of type `root` sees variables of type `kind`.
+fn is_seen(root: &VariableType, kind: &VariableType) -> bool {
+    if root.is::<Pose2>() {
+        kind.is::<Pose2>() || kind.is::<Point2>()
+    } else {
+        root.is::<Pose3>() && (kind.is::<Pose3>() || kind.is::<Point3>())
+    }
 }
 
 /// How one variable becomes one coordinate.
@@ -113,7 +129,9 @@ enum Group {
     Pose2,
     Pose3,
     Rot3,
-    /// Points, vectors, angles: the derivative of `Local` is the identity.
+    Point2,
+    Point3,
+    /// Vectors and angles: as for points, the derivative of `Local` is the identity.
     Flat,
     /// A type from outside this library.
     Other,
@@ -127,11 +145,11 @@ impl Group {
             Self::Pose3
         } else if kind.is::<Rot3>() {
             Self::Rot3
-        } else if kind.is::<Point2>()
-            || kind.is::<Point3>()
-            || kind.is::<Rot2>()
-            || kind.is::<VectorN>()
-        {
+        } else if kind.is::<Point2>() {
+            Self::Point2
+        } else if kind.is::<Point3>() {
+            Self::Point3
+        } else if kind.is::<Rot2>() || kind.is::<VectorN>() {
             Self::Flat
         } else {
             Self::Other
@@ -163,6 +181,12 @@ impl Chart {
             (Seen::FromTheRoot, Group::Pose3) => {
                 Pose3::load(root).between(&Pose3::load(point)).store(out)
             }
+            (Seen::FromTheRoot, Group::Point2) => {
+                Pose2::load(root).inverse_transform_point(&Point2::load(point)).store(out)
+            }
+            (Seen::FromTheRoot, Group::Point3) => {
+                Pose3::load(root).inverse_transform_point(&Point3::load(point)).store(out)
+            }
             (Seen::Inverted, Group::Pose2) => Pose2::load(point).inverse().store(out),
             (Seen::Inverted, Group::Pose3) => Pose3::load(point).inverse().store(out),
             _ => return point,
@@ -179,8 +203,10 @@ impl Chart {
         match self.group {
             Group::Pose2 => Value::new(&Pose2::load(coordinate)),
             Group::Pose3 => Value::new(&Pose3::load(coordinate)),
-            // The root is a pose, and only what has its type is seen from it.
-            _ => unreachable!("only poses are shifted"),
+            Group::Point2 => Value::new(&Point2::load(coordinate)),
+            Group::Point3 => Value::new(&Point3::load(coordinate)),
+            // The root is a pose, and only what `is_seen` names is seen from it.
+            _ => unreachable!("only poses and points are shifted"),
         }
     }
 
@@ -191,17 +217,52 @@ impl Chart {
             Group::Pose2 => Pose2::load(base.storage()).local_jacobian(local, out),
             Group::Pose3 => Pose3::load(base.storage()).local_jacobian(local, out),
             Group::Rot3 => Rot3::load(base.storage()).local_jacobian(local, out),
-            Group::Flat => (0..local.len()).for_each(|i| out[i * (local.len() + 1)] = 1.0),
+            Group::Point2 | Group::Point3 | Group::Flat => {
+                (0..local.len()).for_each(|i| out[i * (local.len() + 1)] = 1.0)
+            }
             Group::Other => numeric_local_jacobian(base, c, out),
         }
     }
 
-    /// `m Ad(c⁻¹)`: from the derivative by the coordinate to minus that by the root.
+    /// From the derivative `m` by the coordinate to minus that by the root: `m Ad(c⁻¹)` for a pose,
+    /// `m [I -[c]×]` (in the plane `m [I J c]`) for a point.
     pub(crate) fn transport(&self, c: &[f64], m: &[f64], out: &mut [f64]) {
         match self.group {
             Group::Pose2 => times_adjoint_of_inverse(&Pose2::load(c), m, out),
             Group::Pose3 => times_adjoint_of_inverse(&Pose3::load(c), m, out),
-            _ => unreachable!("only poses are shifted"),
+            Group::Point2 => {
+                let lever = SMatrix::<f64, 2, 3>::new(1.0, 0.0, -c[1], 0.0, 1.0, c[0]);
+                let product = SMatrix::<f64, 2, 2>::from_column_slice(m) * lever;
+                out.copy_from_slice(product.as_slice());
+            }
+            Group::Point3 => {
+                let mut lever = SMatrix::<f64, 3, 6>::identity();
+                let cross = SVector::<f64, 3>::from_column_slice(c).cross_matrix();
+                lever.fixed_view_mut::<3, 3>(0, 3).copy_from(&-cross);
+                let product = SMatrix::<f64, 3, 3>::from_column_slice(m) * lever;
+                out.copy_from_slice(product.as_slice());
+            }
+            _ => unreachable!("only poses and points are shifted"),
+        }
+    }
+
+    /// From the derivative by the coordinate to that by the variable itself, in place: `m C₁ᵀ` for a
+    /// point that is seen from the root, `m` for all else.
+    pub(crate) fn turn(&self, root: &[f64], m: &mut [f64]) {
+        match (self.seen, self.group) {
+            (Seen::FromTheRoot, Group::Point2) => {
+                let turn = Pose2::load(root).rotation();
+                let (cos, sin) = (turn.cos(), turn.sin());
+                let product = SMatrix::<f64, 2, 2>::from_column_slice(m)
+                    * SMatrix::<f64, 2, 2>::new(cos, sin, -sin, cos);
+                m.copy_from_slice(product.as_slice());
+            }
+            (Seen::FromTheRoot, Group::Point3) => {
+                let turn = Pose3::load(root).rotation().matrix();
+                let product = SMatrix::<f64, 3, 3>::from_column_slice(m) * turn.transpose();
+                m.copy_from_slice(product.as_slice());
+            }
+            _ => {}
         }
     }
 }

@@ -154,13 +154,19 @@ fn a_purely_relative_factor_does_not_see_the_world_move() {
     let mut source = Source::new(75);
     let (a, b, world) =
         (Pose3::sample(&mut source), Pose3::sample(&mut source), Pose3::sample(&mut source));
-    let points = [Value::new(&a), Value::new(&b)];
-    let mut g = matrix(&mut source, 6, 12);
+    let p = source.point3();
+    let points = [Value::new(&a), Value::new(&b), Value::new(&p)];
+    let mut g = matrix(&mut source, 6, 15);
     g.columns_mut(0, 6).fill(0.0);
-    let factor = Linear::new(&named(&points), RootShift::Root, g, vector(&mut source, 12)).unwrap();
-    let residual = |a: &Pose3, b: &Pose3| linearize(&factor, &[Value::new(a), Value::new(b)]).1;
+    let factor = Linear::new(&named(&points), RootShift::Root, g, vector(&mut source, 15)).unwrap();
+    let residual = |a: &Pose3, b: &Pose3, p: &Point3| {
+        linearize(&factor, &[Value::new(a), Value::new(b), Value::new(p)]).1
+    };
     let c = b.compose(&Pose3::exp(&nalgebra::Vector6::new(0.1, 0.2, -0.3, 0.1, 0.0, 0.4)));
-    let difference = residual(&a, &c) - residual(&world.compose(&a), &world.compose(&c));
+    let q = Point3::new(p.x() + 0.3, p.y() - 0.2, p.z() + 0.1);
+    let moved = [world.compose(&a), world.compose(&c)];
+    let difference =
+        residual(&a, &c, &q) - residual(&moved[0], &moved[1], &world.transform_point(&q));
     assert!(difference.amax() < 1e-10, "{difference}");
 }
 

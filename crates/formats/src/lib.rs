@@ -42,7 +42,7 @@
 //! | own | `FACTOR_DEPTH_DIFFERENCE_SE3`, `FACTOR_HEADING_DIFFERENCE_SE3` | `i j difference I` |
 //! | own | `FACTOR_TRANSLATION_DIFFERENCE_SE2`, `_SE3` | `i j dx dy 3I`, `i j dx dy dz 6I`: in the world's axes |
 //! | own | `FACTOR_PARTIAL_SE2`, `_SE3` | `i j k pose A I`: `k` combinations of the tangent, `k` rows of 3 or 6, then the upper triangle of `k` rows |
-//! | own | `FACTOR_LINEAR` | `shift n`, `n` times `kind id` and a linearization point, `q`, `G` row by row, `d'`; `shift` is `none`, `root` or `inverse_root`, `kind` is `SE2`, `SE3`, `XY` or `XYZ` |
+//! | own | `FACTOR_LINEAR` | `shift n`, `n` times `kind id` and a linearization point, `q`, `G` row by row, `d'`; `shift` is `none`, `root` or `inverse_root` ([`RootShift`](evergraph_factors::RootShift)), `kind` is `SE2`, `SE3`, `XY` or `XYZ` |
 //! | own | `GEODETIC_ORIGIN` | `latitude longitude height` of the world's origin (degrees, m; WGS 84), one line at most |
 //! | own | `ROBUST` | `huber` or `pseudo_huber`, a threshold, and the line of any factor of g2o or our own |
 //! | TORO | `VERTEX2` | `id x y theta` |

@@ -86,14 +86,15 @@ impl Potential {
             {
                 relative
             } else {
-                match regular {
+                let conditional = match regular {
                     Some(covariance) => Self {
                         members: smallvec![parent, child],
                         rows: covariance.conditional(target, child, parent),
                         relative: false,
                     },
                     None => Self::conditional(target, pairs[edge].clone(), child, parent),
-                }
+                };
+                conditional.pose_first(target)
             }
         });
         keep(std::iter::once(root).chain(edges))
@@ -116,6 +117,16 @@ impl Potential {
         let rows = rows.rows(0, rank).into_owned();
         // A root shift sees the child from the parent.
         Self { members: smallvec![parent, child], rows: swapped(&rows, dim), relative: false }
+    }
+
+    /// Of a pair, the pose comes first where the other is none, to be the root of a root shift.
+    fn pose_first(mut self, target: &Target) -> Self {
+        let is_pose = |m: usize| pose_of(target.members[m].value.kind()).is_some();
+        if !is_pose(self.members[0]) && is_pose(self.members[1]) {
+            self.rows = swapped(&self.rows, target.dim_of(self.members[0]));
+            self.members.swap(0, 1);
+        }
+        self
     }
 
     /// What `rows` say of `seen` with `pose` held, for any place of the pose: `[-G A  G]`.

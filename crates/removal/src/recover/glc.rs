@@ -5,7 +5,7 @@ use evergraph_model::{Value, VariableId};
 use nalgebra::{DMatrix, DVector};
 
 use crate::error::MakeError;
-use crate::motion::{carried, pose_of};
+use crate::motion::carried;
 use crate::options::{Options, Rank};
 use crate::potential::Potential;
 use crate::target::Target;
@@ -21,8 +21,9 @@ use crate::target::Target;
 /// eigenvectors of Λ', equations 8 and 9; any other square root of as many rows is a rotation of
 /// it, and one that comes from QR has seen no squares).
 ///
-/// R is `[A 0; C I]` with an identity for every variable but the root, hence
-/// `G'_k = G_k` and `G'_1 = (G_1 - Σ G_k C_k) A⁻¹`.
+/// R is `[A 0; C B]` with B diagonal by blocks: an identity for every variable but points that are seen
+/// from the root, where it is the rotation of their axes; hence `G'_k = G_k B_kᵀ` and
+/// `G'_1 = (G_1 - Σ G'_k C_k) A⁻¹`.
 pub(crate) fn factor(
     target: &Target,
     potential: &Potential,
@@ -42,23 +43,30 @@ pub(crate) fn factor(
         let dim = points[0].dim();
         let mut first = rows.columns(0, dim).into_owned();
         let mut column = dim;
-        // Relative: G_1 = -Σ G_k A_k, and C_k = -A_k for every shifted variable, so that only what
+        // Relative: G_1 = -Σ G_k A_k, and C_k = -B_k A_k for every shifted variable, so that only what
         // stays in the world is left. Summed up like this nothing has to cancel, and where nothing
         // stays there the root's columns are exactly zero.
         if potential.relative {
             first.fill(0.0);
         }
         for point in &points[1..] {
-            let own = rows.columns(column, point.dim());
-            let shifted = point.kind() == points[0].kind();
+            let n = point.dim();
+            let is_seen = shift.sees(points[0].kind(), point.kind());
+            let turned = match is_seen && n != dim {
+                true => {
+                    rows.columns(column, n) * jacobian.view((column, column), (n, n)).transpose()
+                }
+                false => rows.columns(column, n).into_owned(),
+            };
             if potential.relative {
-                if let (false, Some(motion)) = (shifted, carried(&points[0], point)) {
-                    first -= own * motion;
+                if let (false, Some(motion)) = (is_seen, carried(&points[0], point)) {
+                    first -= &turned * motion;
                 }
             } else {
-                first -= own * jacobian.view((column, 0), (point.dim(), dim));
+                first -= &turned * jacobian.view((column, 0), (n, dim));
             }
-            column += point.dim();
+            rows.columns_mut(column, n).copy_from(&turned);
+            column += n;
         }
         let corner = jacobian.view((0, 0), (dim, dim)).into_owned();
         if shift == RootShift::InverseRoot {
@@ -82,12 +90,11 @@ pub(crate) fn factor(
     Ok(Some(Linear::new(&variables, shift, rows, offset)?))
 }
 
-/// Only where the first variable is a pose and another of its kind is there to be seen from it:
-/// unary factors gain nothing, and what does not move with the root stays in the world.
+/// Only where another variable is there to be seen from the first: unary factors gain nothing.
 fn shift(variables: &[(VariableId, Value)], wanted: RootShift) -> RootShift {
     let root = variables[0].1.kind();
-    let seen = variables[1..].iter().any(|(_, value)| value.kind() == root);
-    if pose_of(root).is_some() && seen { wanted } else { RootShift::None }
+    let is_seen = |(_, value): &(VariableId, Value)| wanted.sees(root, value.kind());
+    if variables[1..].iter().any(is_seen) { wanted } else { RootShift::None }
 }
 
 /// `D^½ Uᵀ` of equations 8 and 9, with the eigenvalues above an absolute tolerance times their
