@@ -95,6 +95,14 @@ fn fallen_apart(are: &[&GaugePrior], should_be: &[&GaugePrior]) -> String {
             ids.join(" and that of pose ")
         );
     }
+    if should_be.len() < are.len() {
+        return format!(
+            "it is held in its place at pose {}, and the full graph at {} poses, which says more than one \
+             place can; FIX or prior the same poses in both",
+            ids.join(", "),
+            are.len()
+        );
+    }
     format!(
         "it falls into {} parts whose place nothing tells (those of poses {}) where the full graph has \
          {}, and what was known between them is lost",

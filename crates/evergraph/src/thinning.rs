@@ -57,7 +57,8 @@ pub struct Thinned {
     /// Time to apply.
     pub apply: Duration,
     /// What it cost, in nats, of the map as the removals before left it; `None` when that was not asked
-    /// for, or rounding left no covariance to price it by.
+    /// for (by [`Rules::prices`] or [`Order::MinLoss`]), is not finite, or rounding left no covariance
+    /// to price it by.
     pub price: Option<f64>,
     /// See [`Plan::constant`](evergraph_removal::Plan::constant).
     pub constant: f64,
@@ -96,7 +97,8 @@ impl Thinning {
     ///
     /// Prices are exact where linearization points are the estimates, as after
     /// [`Smoother::optimize`]. With [`Rules::prices`] each node costs one more plan, with its joint
-    /// covariance; [`Order::MinLoss`] one for every node next to a removed one, too.
+    /// covariance; with [`Order::MinLoss`] each does at the start and before it goes, and those next to a
+    /// removed one again.
     ///
     /// # Errors
     /// [`ThinningError`]; the smoother is then as it was before the first.

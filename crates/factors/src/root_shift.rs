@@ -173,6 +173,10 @@ impl Chart {
         point: &'b [f64],
         buffer: &'b mut [f64; 7],
     ) -> &'b [f64] {
+        if self.seen == Seen::AsItIs {
+            // Of any length: the buffer holds poses and points.
+            return point;
+        }
         let out = &mut buffer[..point.len()];
         match (self.seen, self.group) {
             (Seen::FromTheRoot, Group::Pose2) => {

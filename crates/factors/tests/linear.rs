@@ -202,3 +202,14 @@ fn it_takes_only_the_types_of_its_linearization_points() {
     assert!(!accepts(1, Value::new(&Point2::identity())));
     assert!(!accepts(2, Value::new(&Point2::identity())));
 }
+
+/// A state of more numbers than a pose has.
+#[test]
+fn long_vectors_stand_beside_poses() {
+    let mut source = Source::new(76);
+    let long = VectorN::new((0..9).map(f64::from).collect::<Vec<_>>());
+    let points = [Value::new(&Pose2::sample(&mut source)), Value::new(&long)];
+    let (g, d) = (matrix(&mut source, 2, 12), vector(&mut source, 12));
+    let factor = Linear::new(&named(&points), RootShift::Root, g, d).unwrap();
+    assert_jacobian(&factor, &points);
+}

@@ -11,6 +11,7 @@ use crate::order::{Order, shuffled};
 use crate::overlay::Overlay;
 use crate::plan::Work;
 use crate::queue::{DegreeQueue, Loss, LossQueue};
+use crate::step::Draft;
 
 /// Takes all of `nodes` out, each once.
 pub(crate) fn run(
@@ -68,21 +69,25 @@ fn by_loss(work: &mut Work<'_, '_>, nodes: &[VariableId]) -> Result<(), RemovalE
     }
     let mut queue = LossQueue::default();
     for &node in nodes {
-        let loss = loss(work, node)?;
+        let loss = Loss::of(&work.draft(&[node])?.step);
         queue.insert(node, loss);
     }
-    while let Some((node, _)) = queue.pop(|node| loss(work, node))? {
-        let draft = work.draft(&[node])?;
+    // The node that goes was often drafted last.
+    let mut last: Option<Draft> = None;
+    let price = |work: &mut Work<'_, '_>, last: &mut Option<Draft>, node| {
+        let draft = last.insert(work.draft(&[node])?);
+        Ok::<_, RemovalError>(Loss::of(&draft.step))
+    };
+    while let Some((node, _)) = queue.pop(|node| price(work, &mut last, node))? {
+        let draft = match last.take() {
+            Some(draft) if draft.step.removed == [node] => draft,
+            _ => work.draft(&[node])?,
+        };
         let touched = draft.step.blanket.clone();
         work.take(draft)?;
-        queue.removed(&touched, |node| loss(work, node))?;
+        queue.removed(&touched, |node| price(work, &mut last, node))?;
     }
     Ok(())
-}
-
-fn loss(work: &mut Work<'_, '_>, node: VariableId) -> Result<Loss, RemovalError> {
-    let step = work.draft(&[node])?.step;
-    Ok(Loss::of(&step))
 }
 
 /// Nodes that share factors with each other, connected groups of them; in the order in which the

@@ -74,7 +74,8 @@ pub enum Rank {
 /// How far the minimum of a new factor may lie from the estimate before a tree is not trusted and
 /// the clique takes the dense form.
 ///
-/// Offsets are small at first and grow when nodes are removed again and again.
+/// Offsets are small at first and grow when nodes are removed again and again. Where a tree is what one
+/// factor would be, between two, there is nothing to guard against.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Guard {
@@ -106,9 +107,8 @@ pub struct Options {
     pub recovery: Recovery,
     /// Default [`Offset::KeepGradient`].
     pub offset: Offset,
-    /// The coordinates in which linear factors of several poses are linear. Default
-    /// [`RootShift::Root`], which needs the poses of a clique to be known relative to each other
-    /// only.
+    /// The coordinates in which linear factors of a pose with other poses or points are linear.
+    /// Default [`RootShift::Root`], which needs them to be known relative to each other only.
     pub root_shift: RootShift,
     /// Default [`MutualInformation::Limit`].
     pub mutual_information: MutualInformation,

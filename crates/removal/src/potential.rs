@@ -115,7 +115,7 @@ impl Potential {
         let dim = target.dim_of(child);
         let rank = echelon(&mut rows, dim, &target.scales[target.columns(child)]).len();
         let rows = rows.rows(0, rank).into_owned();
-        // A root shift sees the child from the parent.
+        // A root shift sees the child from the parent, if that is a pose.
         Self { members: smallvec![parent, child], rows: swapped(&rows, dim), relative: false }
     }
 

@@ -66,7 +66,8 @@ impl Loss {
     }
 
     fn cmp(&self, other: &Self) -> Ordering {
-        self.dense.cmp(&other.dense).then(self.price.total_cmp(&other.price))
+        let class = |loss: &Self| (loss.price.is_infinite(), loss.dense);
+        class(self).cmp(&class(other)).then(self.price.total_cmp(&other.price))
     }
 }
 
@@ -77,11 +78,11 @@ impl Loss {
 /// - a node is priced again before it goes, and waits if another has become cheaper;
 /// - a node is priced again when it was in the blanket of a removed one, since its own neighborhood has
 ///   changed; prices fall as well as rise (the divergence is not submodular), and one that fell must
-///   not wait for its turn. A large neighborhood is first left to change by a [`SHARE`]: a landmark
+///   not wait for its turn. A large neighborhood is first left to change by an eighth: a landmark
 ///   that hundreds of poses see is next to most removals, and pricing it is cubic in their number.
 ///
-/// Prices of other nodes are lower or higher than they say by what far removals have changed there,
-/// until it is their turn.
+/// Prices of other nodes, also of those that only share neighbours with a removed one, are lower or
+/// higher than they say until it is their turn.
 #[derive(Clone, Debug, Default)]
 pub struct LossQueue {
     nodes: BTreeMap<VariableId, Waiting>,

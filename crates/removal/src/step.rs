@@ -12,6 +12,7 @@ use crate::neighborhood::{Neighborhood, Read};
 use crate::options::{Offset, Options, Recovery, Topology};
 use crate::overlay::{Overlay, Source};
 use crate::potential::{Potential, Sum};
+use crate::qr::triangle;
 use crate::recover::{self, Made, composition};
 use crate::target::Target;
 use crate::topology::Tree;
@@ -259,12 +260,12 @@ impl Replacement {
                 let own = Options { recovery, ..*options };
                 let new = Self::make(overlay, target, &potentials, sum.rows, &sum.minimum, &own)?;
                 let guard = &options.guard;
-                // Between two, a tree is what one factor would be.
-                let is_exact = target.members.len() <= 2;
-                if is_exact
-                    || new.known_rotation <= guard.rotation
-                        && new.largest_length <= guard.mahalanobis
-                {
+                // Between two, a tree is what one factor would be, unless recovery splits it further.
+                let is_exact = target.members.len() <= 2
+                    && (recovery == Recovery::Glc || potentials.iter().all(|p| p.relative));
+                let is_near =
+                    new.known_rotation <= guard.rotation && new.largest_length <= guard.mahalanobis;
+                if is_exact || is_near {
                     return Ok(Self { fallback, ..new });
                 }
                 fallback = Some(Fallback::DenseForOffset);
@@ -344,16 +345,20 @@ impl Minimum {
         self.parts.iter().map(turn).fold(0.0, f64::max)
     }
 
-    /// Where the minimum would be beside a prior of 1 m and 1 rad at the estimate,
-    /// `(I + GᵀG)⁻¹ GᵀG d`: what is hardly known stays there.
+    /// Where the minimum would be beside a prior of 1 m and 1 rad at the estimate, the `d'` of least
+    /// `‖G d' - G d‖² + ‖d'‖²`: what is hardly known stays there.
     fn known(mut self) -> Self {
-        let mut information = self.rows.tr_mul(&self.rows);
-        let pull = &information * &self.offset;
-        information += DMatrix::identity(pull.len(), pull.len());
-        match information.cholesky() {
-            Some(factor) => self.offset = factor.solve(&pull),
-            // Only numbers that are not finite.
-            None => self.offset.fill(f64::NAN),
+        let (rows, n) = self.rows.shape();
+        let mut stack = DMatrix::zeros(rows + n, n + 1);
+        stack.view_mut((0, 0), (rows, n)).copy_from(&self.rows);
+        stack.view_mut((0, n), (rows, 1)).copy_from(&(&self.rows * &self.offset));
+        stack.view_mut((rows, 0), (n, n)).fill_with_identity();
+        let u = triangle(stack);
+        let solution = u.view((0, 0), (n, n)).solve_upper_triangular(&u.view((0, n), (n, 1)));
+        match solution.filter(|known| known.iter().all(|x| x.is_finite())) {
+            Some(known) => self.offset = known.column(0).into_owned(),
+            // Numbers that left the range of `f64` are not to be trusted.
+            None => self.offset.fill(f64::INFINITY),
         }
         self
     }

@@ -181,11 +181,95 @@ fn an_offset_of_more_than_half_a_turn_becomes_a_linear_factor() {
     let options = Options { recovery: Recovery::Nonlinear, ..Options::default() };
     let plan = scene.plan(node, options);
     let step = &plan.steps()[0];
-    // Next to nothing is known that far out, so the guard has nothing against it.
     assert_eq!(step.fallback, None);
     assert!(step.added.len() == 1 && step.added[0].linear && step.largest_rotation > 10.0);
     let answer = answer(&scene, &[node], &step.blanket);
     let (lambda, eta) = normal(&added(&scene, &plan, &step.blanket));
     assert_close(&lambda, &answer.lambda, &answer.scale, 1e-9, "information");
     assert_same_gradient(&eta, &answer.eta, &answer, 1e-9);
+}
+
+/// A node seen by three poses, of which one is said to be `turn` off, with `weight`.
+fn turned_away(
+    weight: f64,
+    turn: f64,
+    recovery: Recovery,
+    others: usize,
+) -> (Option<Fallback>, usize) {
+    use evergraph_factors::{BetweenPose2, Linear};
+    use evergraph_model::{LieGroup, Noise, Pose2, Value};
+    let scene = Scene::of(|change| {
+        let node = change.add_variable(&Pose2::identity());
+        let noise = Noise::isotropic(3, 0.005).unwrap();
+        for k in 0..others {
+            let z = Pose2::new(1.0 + k as f64, 0.2, 0.3);
+            let other = change.add_variable(&z);
+            change.add_factor(BetweenPose2::new(node, other, z, noise.clone()).unwrap());
+        }
+        let rows = nalgebra::DMatrix::from_diagonal_element(3, 3, weight);
+        let offset = nalgebra::DVector::from_vec(vec![0.0, 0.0, turn]);
+        let known = [(node.id(), Value::new(&Pose2::identity()))];
+        change.add_factor(Linear::new(&known, RootShift::None, rows, offset).unwrap());
+    });
+    let node = scene.ids()[0];
+    let plan = scene.plan(node, Options { recovery, ..Options::default() });
+    let step = &plan.steps()[0];
+    let answer = answer(&scene, &[node], &step.blanket);
+    let (lambda, eta) = normal(&added(&scene, &plan, &step.blanket));
+    assert_same_gradient(&eta, &answer.eta, &answer, 1e-9);
+    if step.topology == Topology::Dense {
+        assert_close(&lambda, &answer.lambda, &answer.scale, 1e-9, "information");
+    }
+    (step.fallback, step.added.len())
+}
+
+#[test]
+fn a_tree_that_is_well_known_to_lie_far_off_becomes_one_factor() {
+    let dense = (Some(Fallback::DenseForOffset), 1);
+    for recovery in [Recovery::Glc, Recovery::Nonlinear] {
+        // Near; far, but next to nothing is known there; far and known; near in turns, far in sigmas.
+        assert_eq!(turned_away(10.0, 0.3, recovery, 3), (None, 3));
+        assert_eq!(turned_away(0.01, 15.0, recovery, 3), (None, 3));
+        assert_eq!(turned_away(10.0, 2.0, recovery, 3), dense);
+        assert_eq!(turned_away(1000.0, 0.5, recovery, 3), dense);
+    }
+    // Between two, linear factors on a tree are exact, and ordinary ones are not.
+    assert_eq!(turned_away(10.0, 2.0, Recovery::Glc, 2).0, None);
+    assert_eq!(turned_away(10.0, 2.0, Recovery::Nonlinear, 2), dense);
+}
+
+/// What is relative between a pose and landmarks has no trace of the world either.
+#[test]
+fn poses_and_landmarks_have_no_trace_of_the_world() {
+    use evergraph_factors::{BetweenPose3, Linear, RelativePosition3};
+    use evergraph_model::{LieGroup, Noise, Point3, Pose3};
+    use nalgebra::Vector6;
+    let scene = Scene::of(|change| {
+        let pose = |k: f64| Pose3::exp(&Vector6::new(k, 0.3 * k, 0.1, 0.2 * k, -0.1, 0.4 * k));
+        let keys = [0.0, 1.0, 2.0].map(|k| change.add_variable(&pose(k)));
+        for k in [1, 2] {
+            let z = pose(k as f64 - 1.0).between(&pose(k as f64));
+            let noise = Noise::isotropic(6, 0.1).unwrap();
+            change.add_factor(BetweenPose3::new(keys[k - 1], keys[k], z, noise).unwrap());
+        }
+        for k in 0..2 {
+            let point = Point3::new(3.0, k as f64, 1.0);
+            let landmark = change.add_variable(&point);
+            for (key, at) in [(keys[0], pose(0.0)), (keys[1], pose(1.0))] {
+                let z = at.inverse_transform_point(&point);
+                let noise = Noise::isotropic(3, 0.2).unwrap();
+                change.add_factor(RelativePosition3::new(key, landmark, z, noise).unwrap());
+            }
+        }
+    });
+    for options in [Options::default(), Options::dense()] {
+        let plan = scene.plan(scene.ids()[1], options);
+        assert!(!plan.change().new_factors().is_empty());
+        for (_, factor) in plan.change().new_factors() {
+            let (linear, _) = factor.downcast::<Linear>().unwrap();
+            assert_eq!(linear.root_shift(), RootShift::Root);
+            let dim = linear.linearization_points()[0].dim();
+            assert_eq!((dim, linear.sqrt_information().columns(0, dim).amax()), (6, 0.0));
+        }
+    }
 }

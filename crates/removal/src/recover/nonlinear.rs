@@ -14,9 +14,10 @@ use crate::neighborhood::Member;
 use crate::potential::Potential;
 use crate::target::Target;
 
-/// The logarithm takes back an offset that turns by less than half a turn only; with some room, because
-/// an ordinary factor that far from its measurement is better a linear one.
-const FARTHEST: f64 = std::f64::consts::FRAC_PI_2;
+/// The logarithm takes back an offset that turns by less than half a turn only; and an ordinary factor
+/// that far from its measurement is better a linear one. Radians, the default of
+/// [`Guard::rotation`](crate::Guard::rotation), which measures what remains of it as a linear one.
+const FARTHEST: f64 = 1.0;
 
 /// The ordinary factor for a term with its minimum at `offset`, if there is one.
 pub(crate) fn factor(

@@ -50,8 +50,8 @@ pub struct Covariances<'a> {
 }
 
 impl Smoother {
-    /// Covariances of the present state. The first question about a variable costs the cliques
-    /// between it and its root; those nearby then cost a few cliques.
+    /// Covariances of the present state. A question costs the cliques between its variables and their
+    /// root; after many, those up to a clique whose covariance they have paid for.
     pub fn covariances(&self) -> Covariances<'_> {
         Covariances { smoother: self, cliques: BTreeMap::new(), spent: BTreeMap::new() }
     }
@@ -163,8 +163,9 @@ impl Covariances<'_> {
     /// Makes the covariances of cliques from `clique` to the root that so many right-hand sides have
     /// gone through that making them would have cost no more; from the root down.
     ///
-    /// A single question never pays for the covariance of a large clique, of which it needs a few
-    /// combinations; and whatever is asked, all costs at most twice what the cheaper way would have.
+    /// So a single small question does not pay for the covariance of a large clique, of which it needs
+    /// a few combinations, and many do not go through it again and again. A clique that has been paid
+    /// for waits until its parent has.
     fn learn(&mut self, clique: u32, columns: usize) {
         let Smoother { tree, .. } = self.smoother;
         let mut parent: Option<u32> = None;
