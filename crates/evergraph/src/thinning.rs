@@ -111,26 +111,32 @@ impl Thinning {
         check(smoother.graph(), nodes)?;
         let before = smoother.clone();
         let mut thinning = Self::default();
-        let result = Queue::new(smoother, nodes, rules).map_err(ThinningError::from).and_then(
-            |mut queue| {
-                while thinning.removed.len() < rules.at_most
-                    && let Some((node, loss)) = queue.pop(smoother, rules)?
-                {
-                    if let Some(touched) = thinning.take(smoother, node, loss, rules)? {
-                        queue.look_again(smoother, &touched, rules)?;
-                    }
-                    done();
-                }
-                Ok(())
-            },
-        );
-        match result {
+        match thinning.all(smoother, nodes, rules, &mut done) {
             Ok(()) => Ok(thinning),
             Err(error) => {
                 *smoother = before;
                 Err(error)
             }
         }
+    }
+
+    fn all(
+        &mut self,
+        smoother: &mut Smoother,
+        nodes: &[VariableId],
+        rules: &Rules<'_>,
+        done: &mut impl FnMut(),
+    ) -> Result<(), ThinningError> {
+        let mut queue = Queue::new(smoother, nodes, rules)?;
+        while self.removed.len() < rules.at_most
+            && let Some((node, loss)) = queue.pop(smoother, rules)?
+        {
+            if let Some(touched) = self.take(smoother, node, loss, rules)? {
+                queue.look_again(smoother, &touched, rules)?;
+            }
+            done();
+        }
+        Ok(())
     }
 
     /// The sum of the prices; `None` unless all are known.

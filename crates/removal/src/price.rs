@@ -92,6 +92,7 @@ pub(crate) fn divergence(
             (root.norm_squared() - n as f64 - log_det(&root), y.norm_squared())
         }
     };
+    // Not `max`, which would take a NaN for nothing.
     let price = 0.5 * (if excess < 0.0 { 0.0 } else { excess } + mean);
     (!price.is_nan()).then_some(price)
 }

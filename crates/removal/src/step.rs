@@ -104,7 +104,7 @@ struct Replacement {
     /// The whitened residual at the estimate, negated: `G d`.
     rhs: DVector<f64>,
     largest_rotation: f64,
-    /// As [`Guard::rotation`](crate::Guard) counts, of terms on one or two variables.
+    /// As [`Guard::rotation`](crate::Guard) counts, of trees.
     known_rotation: f64,
     largest_length: f64,
 }
@@ -294,10 +294,12 @@ impl Replacement {
         for potential in potentials {
             let offset = potential.part(target, &minimum);
             let term = Minimum::of(target, potential, &offset);
-            new.largest_rotation = new.largest_rotation.max(term.rotation());
-            if potential.members.len() <= 2 {
-                new.known_rotation = new.known_rotation.max(term.known().rotation());
-            }
+            let rotation = term.rotation();
+            new.largest_rotation = new.largest_rotation.max(rotation);
+            // Most terms are near enough as they are; of dense ones nobody asks.
+            let is_near = rotation <= options.guard.rotation || potential.members.len() > 2;
+            let known = if is_near { rotation } else { term.known().rotation() };
+            new.known_rotation = new.known_rotation.max(known);
             new.largest_length = new.largest_length.max((&potential.rows * &offset).norm());
             new.made.extend(recover::make(overlay.graph, target, potential, &offset, options)?);
         }

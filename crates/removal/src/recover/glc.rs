@@ -52,12 +52,8 @@ pub(crate) fn factor(
         for point in &points[1..] {
             let n = point.dim();
             let is_seen = shift.sees(points[0].kind(), point.kind());
-            let turned = match is_seen && n != dim {
-                true => {
-                    rows.columns(column, n) * jacobian.view((column, column), (n, n)).transpose()
-                }
-                false => rows.columns(column, n).into_owned(),
-            };
+            let turned =
+                rows.columns(column, n) * jacobian.view((column, column), (n, n)).transpose();
             if potential.relative {
                 if let (false, Some(motion)) = (is_seen, carried(&points[0], point)) {
                     first -= &turned * motion;
