@@ -223,14 +223,17 @@ mod tests {
         }
     }
 
+    /// And what cannot be priced for both, whatever it would become.
     #[test]
     fn dense_factors_wait_for_trees() {
-        let all = nodes(2);
+        let all = nodes(4);
         let mut queue = LossQueue::default();
-        queue.insert(all[0], Loss { dense: true, ..loss(0.0) });
-        queue.insert(all[1], loss(1.0));
+        queue.insert(all[0], loss(f64::INFINITY));
+        queue.insert(all[1], Loss::unknown(2));
+        queue.insert(all[2], Loss { dense: true, ..loss(0.0) });
+        queue.insert(all[3], loss(1.0));
         let mut next = || queue.pop(|_| Err(())).unwrap().map(|(node, _)| node);
-        assert_eq!([next(), next()], [Some(all[1]), Some(all[0])]);
+        assert_eq!([next(), next(), next()], [Some(all[3]), Some(all[2]), Some(all[0])]);
     }
 
     #[test]

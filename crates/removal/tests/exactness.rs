@@ -273,3 +273,37 @@ fn poses_and_landmarks_have_no_trace_of_the_world() {
         }
     }
 }
+
+/// Where a tree goes from a landmark on to a pose that sees it, the pose is still the root of the shift.
+#[test]
+fn a_landmark_is_seen_from_the_pose_below_it() {
+    use evergraph_factors::{BetweenPose2, Linear, Prior, RelativePosition2};
+    use evergraph_model::{LieGroup, Noise, Point2, Pose2};
+    let scene = Scene::of(|change| {
+        let (at_a, at_b) = (Pose2::new(1.0, 0.0, 0.2), Pose2::new(3.0, 0.5, -0.4));
+        let point = Point2::new(2.5, 1.0);
+        let noise = |sigma: f64| Noise::isotropic(3, sigma).unwrap();
+        let node = change.add_variable(&Pose2::identity());
+        let [a, b] = [at_a, at_b].map(|pose| change.add_variable(&pose));
+        let landmark = change.add_variable(&point);
+        change.add_factor(Prior::new(a, at_a, noise(0.1)).unwrap());
+        change.add_factor(BetweenPose2::new(node, a, at_a, noise(0.1)).unwrap());
+        change.add_factor(BetweenPose2::new(node, b, at_b, noise(10.0)).unwrap());
+        for (key, pose) in [(node, Pose2::identity()), (b, at_b)] {
+            let seen = pose.inverse_transform_point(&point);
+            let noise = Noise::isotropic(2, 0.01).unwrap();
+            change.add_factor(RelativePosition2::new(key, landmark, seen, noise).unwrap());
+        }
+    });
+    let plan = scene.plan(scene.ids()[0], Options::default());
+    let (b, landmark) = (scene.ids()[2], scene.ids()[3]);
+    let pair = plan
+        .change()
+        .new_factors()
+        .iter()
+        .find(|(_, factor)| factor.keys().contains(&landmark) && factor.keys().contains(&b));
+    let (_, factor) = pair.expect("the landmark says most of where the second pose is");
+    assert_eq!(factor.keys(), [b, landmark]);
+    let (linear, _) = factor.downcast::<Linear>().unwrap();
+    assert_eq!(linear.root_shift(), RootShift::Root);
+}

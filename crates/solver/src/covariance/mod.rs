@@ -290,6 +290,32 @@ mod tests {
         }
     }
 
+    /// One question goes through the cliques; many make their covariances, from the root down, and get
+    /// the same answers.
+    #[test]
+    fn cliques_that_are_asked_for_often_are_known() {
+        let mut rng = ChaCha8Rng::seed_from_u64(23);
+        let (smoother, poses) = grow(Elimination::Cholesky, &mut rng);
+        let mut kept = smoother.covariances();
+        kept.marginal(poses[3]).unwrap();
+        assert!(kept.cliques.is_empty(), "{:?}", kept.spent);
+        for _ in 0..60 {
+            for &pose in &poses {
+                kept.marginal(pose).unwrap();
+            }
+        }
+        let tree = &smoother.tree;
+        assert!(tree.roots.iter().all(|root| kept.cliques.contains_key(root)));
+        let is_closed = |clique: &u32| {
+            tree.parent_of(*clique).is_none_or(|parent| kept.cliques.contains_key(&parent))
+        };
+        assert!(kept.cliques.keys().all(is_closed));
+        for &pose in &poses {
+            let (known, fresh) = (kept.marginal(pose).unwrap(), smoother.marginal(pose).unwrap());
+            assert!((&known - &fresh).amax() < 1e-10 * fresh.amax(), "{known} {fresh}");
+        }
+    }
+
     #[test]
     fn unknown_variables_are_errors() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
