@@ -9,7 +9,7 @@
 //! 2. The **target information** `Λ_t = R_tᵀR_t`, what `Z_m` says of the blanket with the node
 //!    eliminated.
 //! 3. The **topology**: one factor on the whole blanket, or the **Chow-Liu tree** of most mutual
-//!    information.
+//!    information, what is hardly known damped.
 //! 4. The **recovery**: each term becomes a **generic linear constraint** in root-shifted
 //!    coordinates, or an ordinary factor, placed such that the gradient is kept.
 //! 5. The **price**: the Kullback-Leibler divergence of the map after from the map before.

@@ -50,9 +50,16 @@ pub enum Offset {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MutualInformation {
+    /// [`MutualInformation::Limit`], but where all is relative a direction of which a pair knows less
+    /// than a thousandth of what its columns of the information say counts as if it knew that.
+    ///
+    /// Such directions, sideways at the end of a long lever for one, say little beside the rest of the
+    /// graph, and a logarithm would let them decide. iSAM's `+ I` has the same effect in its units; this
+    /// has none.
+    #[default]
+    Damped,
     /// Equation 17 of the laser paper, and where the target is singular its limit under a
     /// vanishing prior.
-    #[default]
     Limit,
     /// `½ (ln det(Λ_i|j + I) - ln det(Λ_i + I))`, as iSAM 1.7 has it: defined for singular targets,
     /// and depends on units.
@@ -110,7 +117,7 @@ pub struct Options {
     /// The coordinates in which linear factors of a pose with other poses or points are linear.
     /// Default [`RootShift::Root`], which needs them to be known relative to each other only.
     pub root_shift: RootShift,
-    /// Default [`MutualInformation::Limit`].
+    /// Default [`MutualInformation::Damped`].
     pub mutual_information: MutualInformation,
     /// Default [`Rank::Relative`].
     pub rank: Rank,
@@ -152,9 +159,15 @@ impl Options {
         Self { topology: Topology::Dense, ..Self::default() }
     }
 
-    /// Equations 1 to 9 of the GLC paper to the letter: offset zero, coordinates of equation 5.
+    /// Equations 1 to 9 of the GLC paper to the letter: offset zero, coordinates of equation 5, mutual
+    /// information undamped.
     pub fn paper() -> Self {
-        Self { offset: Offset::Zero, root_shift: RootShift::InverseRoot, ..Self::default() }
+        Self {
+            offset: Offset::Zero,
+            root_shift: RootShift::InverseRoot,
+            mutual_information: MutualInformation::Limit,
+            ..Self::default()
+        }
     }
 
     /// iSAM 1.7's variants where they differ from the paper: the root pose itself as a coordinate,

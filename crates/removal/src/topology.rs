@@ -4,10 +4,10 @@ use std::cmp::Ordering;
 
 use nalgebra::DMatrix;
 
-use crate::covariance::CovarianceRoot;
+use crate::covariance::{CovarianceRoot, information_root};
 use crate::motion::pose_of;
 use crate::options::MutualInformation;
-use crate::qr::{half_log_det, triangle, upper_inverse};
+use crate::qr::{column_norms, half_log_det, triangle, upper_inverse};
 use crate::target::Target;
 
 /// A spanning tree of the blanket.
@@ -90,6 +90,10 @@ fn root(target: &Target) -> usize {
 
 type WeightOf<'a> = Box<dyn Fn(usize, usize) -> Weight + 'a>;
 
+/// The share of its column that a direction counts for at least, in information. Chosen by what is lost
+/// (docs/removal.md).
+const DAMPING: f64 = 1e-3;
+
 /// The way to weigh pairs that fits the target.
 fn weights_of<'a>(
     target: &'a Target,
@@ -106,7 +110,10 @@ fn weights_of<'a>(
             let pairs = regular(target, |members| covariance.rows(target, members));
             Box::new(move |i, j| Weight { nullity: 0, finite: pairs(i, j) })
         }
-        Some(covariance) if worlds == 1 && all_move() => relative(target, covariance),
+        Some(covariance) if worlds == 1 && all_move() => {
+            let damping = if weights == MutualInformation::Damped { DAMPING } else { 0.0 };
+            relative(target, covariance, damping)
+        }
         _ => vanishing_prior(target),
     }
 }
@@ -137,14 +144,33 @@ fn regular<'a>(
 /// prior; and `½ ln |Σ_jj|` grows with its vanishing at the same rate for all variables of a kind,
 /// faster for poses than for points. So poses are joined with each other first, then each point with
 /// a pose.
-fn relative<'a>(target: &'a Target, covariance: &'a CovarianceRoot) -> WeightOf<'a> {
+///
+/// Damped, `-½ ln |Σ_rel| = ½ ln |Λ_rel|` becomes `½ ln |Λ_rel + damping diag(Λ_rel)|`.
+fn relative<'a>(target: &'a Target, covariance: &'a CovarianceRoot, damping: f64) -> WeightOf<'a> {
     Box::new(move |i, j| {
         let is_pose = |&k: &usize| pose_of(target.members[k].value.kind()).is_some();
-        let Some(pose) = [i, j].into_iter().find(is_pose) else { return Weight::NONE };
+        // The first of two poses, whichever way round they are asked for: the diagonal is not the same
+        // seen from the other.
+        let first = [i.min(j), i.max(j)].into_iter().find(is_pose);
+        let Some(pose) = first else { return Weight::NONE };
         let other = if pose == i { j } else { i };
         let Some(seen) = covariance.seen(target, pose, other) else { return Weight::NONE };
-        Weight { nullity: target.dim_of(other) as i64, finite: -half_log_det(&seen) }
+        let finite = match damping > 0.0 {
+            true => half_log_det(&damped(&information_root(&seen), damping)),
+            false => -half_log_det(&seen),
+        };
+        Weight { nullity: target.dim_of(other) as i64, finite }
     })
+}
+
+/// `[Rᵀ √damping diag(‖r_k‖)]` with r_k the columns of `R`: its square is `Λ + damping diag(Λ)`.
+fn damped(root: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
+    let (rows, n) = root.shape();
+    let mut wide = root.transpose().resize_horizontally(rows + n, 0.0);
+    for (k, norm) in column_norms(root, n).into_iter().enumerate() {
+        wide[(k, rows + k)] = damping.sqrt() * norm;
+    }
+    wide
 }
 
 /// Any other singular target: the mutual information under two priors `ε I` in column-scaled
@@ -194,4 +220,40 @@ fn isam(target: &Target) -> WeightOf<'_> {
         let given = pair.columns(0, target.dim_of(i)).into_owned();
         Weight { nullity: 0, finite: 0.5 * (log_det(given) - single[i]) }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn damping_knows_no_units(
+            root in proptest::collection::vec(-1.0..1.0f64, 9),
+            unit in 1e-3..1e3f64,
+        ) {
+            let root = DMatrix::from_vec(3, 3, root) + DMatrix::<f64>::identity(3, 3) * 2.0;
+            let mut other = root.clone();
+            other.columns_mut(0, 2).apply(|x| *x *= unit);
+            let weight = |root: &DMatrix<f64>| half_log_det(&damped(root, DAMPING));
+            // The same for all pairs: no tree depends on it.
+            let difference = weight(&other) - weight(&root);
+            prop_assert!((difference - 2.0 * unit.ln()).abs() < 1e-9, "{difference}");
+        }
+
+        #[test]
+        fn damping_matters_where_little_is_known(angle in 0.1..1.4f64, share in -6.0..0.0f64) {
+            // Known to 1 one way and to `weak` across.
+            let weak = 10f64.powf(share);
+            let (sin, cos) = angle.sin_cos();
+            let root = DMatrix::from_row_slice(2, 2, &[cos, sin, -weak * sin, weak * cos]);
+            let gained = half_log_det(&damped(&root, DAMPING)) - weak.ln();
+            // det(Λ + a diag Λ) = (1 + a)² det Λ + a (2 + a) Λ_01², by hand.
+            let (across, a) = (sin * cos * (1.0 - weak * weak), DAMPING);
+            let det = (1.0 + a).powi(2) * weak * weak + a * (2.0 + a) * across * across;
+            prop_assert!((gained - (0.5 * det.ln() - weak.ln())).abs() < 1e-8);
+            prop_assert!(gained > 0.0);
+        }
+    }
 }
