@@ -97,20 +97,20 @@ fn maps_of_landmarks_stay_where_they_are() {
     }
 }
 
-/// On the same nodes in the same order as iSAM's rules, and as iSAM 1.7 itself lost: 0.022 to 0.024 at
-/// half of the nodes, 0.078 to 0.084 at nine tenths, 0.034 where every second goes.
+/// On the same nodes in the same order as iSAM's rules. iSAM 1.7 itself lost 0.022 to 0.024 on half of
+/// the nodes, 0.078 to 0.084 on nine tenths, 0.034 where every second went, on nodes of its own choice.
 #[test]
 fn trees_lose_what_isam_loses() {
     let file = "pose2d/manhattanOlson3500.txt";
     let Some(full) = Full::read("trees_lose_what_isam_loses", file) else { return };
-    for (percent, known) in [(50, 0.021..0.025), (90, 0.078..0.092)] {
+    for (percent, near) in [(50, 0.021..0.025), (90, 0.078..0.092)] {
         let mean = |options| {
             let loss =
                 |seed| full.loss(&full.thinned(percent, Order::Random(seed), options, false).0);
             (1..=3).map(loss).sum::<f64>() / 3.0
         };
         let (ours, isam) = (mean(Options::default()), mean(Options::isam()));
-        assert!(known.contains(&isam), "{percent}: {isam}");
+        assert!(near.contains(&isam), "{percent}: {isam}");
         assert!(ours / isam < 1.02, "{percent}: {ours} {isam}");
     }
     let every_second: Vec<VariableId> = full.nodes.iter().copied().step_by(2).collect();
@@ -119,10 +119,21 @@ fn trees_lose_what_isam_loses() {
         |options| every_second.loss(&every_second.thinned(100, Order::Given, options, false).0);
     let (ours, isam) = (loss(Options::default()), loss(Options::isam()));
     assert!((0.033..0.035).contains(&isam), "{isam}");
-    assert!(ours / isam < 1.02, "every second: {ours} {isam}");
-    // Without damping a direction that is hardly known decides.
-    let limit = Options { mutual_information: MutualInformation::Limit, ..Options::default() };
-    assert!(ours < loss(limit));
+    assert!(ours < isam, "every second: {ours} {isam}");
+}
+
+/// Damping gains most where headings are known badly, and costs little where they are not.
+#[test]
+fn damped_trees_lose_little_more_anywhere() {
+    for file in ["pose2d/intel_943.g2o", "pose3d/duderstadt.g2o"] {
+        let Some(full) = Full::read("damped_trees_lose_little_more_anywhere", file) else { return };
+        let loss = |mutual_information| {
+            let options = Options { mutual_information, ..Options::default() };
+            full.loss(&full.thinned(50, Order::Random(1), options, false).0)
+        };
+        let ratio = loss(MutualInformation::Damped) / loss(MutualInformation::Limit);
+        assert!(ratio < 1.02, "{file}: {ratio}");
+    }
 }
 
 #[test]

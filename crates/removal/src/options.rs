@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 pub enum Topology {
     /// One factor on the whole blanket: exact, and in the long run a dense graph.
     Dense,
-    /// The spanning tree of most mutual information (Chow and Liu): the closest of all trees.
+    /// The spanning tree of most mutual information (Chow and Liu): the closest of all trees, with
+    /// [`MutualInformation::Limit`].
     #[default]
     ChowLiu,
 }
@@ -50,20 +51,22 @@ pub enum Offset {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MutualInformation {
-    /// [`MutualInformation::Limit`], but where all is relative a direction of which a pair knows less
-    /// than a thousandth of what its columns of the information say counts as if it knew that.
-    ///
-    /// Such directions, sideways at the end of a long lever for one, say little beside the rest of the
-    /// graph, and a logarithm would let them decide. iSAM's `+ I` has the same effect in its units; this
-    /// has none.
-    #[default]
-    Damped,
     /// Equation 17 of the laser paper, and where the target is singular its limit under a
-    /// vanishing prior.
+    /// vanishing prior. Where all is relative and otherwise known that is `½ ln det Λ` with Λ the
+    /// information of one variable as seen from the other.
     Limit,
     /// `½ (ln det(Λ_i|j + I) - ln det(Λ_i + I))`, as iSAM 1.7 has it: defined for singular targets,
     /// and depends on units.
     LogDetPlusIdentity,
+    /// [`MutualInformation::Limit`], but `½ ln det(Λ + 1e-3 D)` where all is relative and otherwise
+    /// known, D the mean of the diagonal of Λ over translations and over rotations.
+    ///
+    /// Directions of which a pair knows far less than of others, sideways at the end of a long lever for
+    /// one, are known better by the rest of the graph, and a logarithm would let them decide. iSAM's `+ I`
+    /// does the like in units of 1 m and 1 rad; this has no units, and does not depend on how axes are
+    /// turned.
+    #[default]
+    Damped,
 }
 
 /// Which directions of a generic linear constraint count as information.

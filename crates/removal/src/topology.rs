@@ -1,13 +1,15 @@
 //! The Chow-Liu tree: which variables the new factors join.
 
 use std::cmp::Ordering;
+use std::ops::Range;
 
+use evergraph_model::VariableType;
 use nalgebra::DMatrix;
 
 use crate::covariance::{CovarianceRoot, information_root};
-use crate::motion::pose_of;
+use crate::motion::{World, pose_of};
 use crate::options::MutualInformation;
-use crate::qr::{column_norms, half_log_det, triangle, upper_inverse};
+use crate::qr::{half_log_det, triangle, upper_inverse};
 use crate::target::Target;
 
 /// A spanning tree of the blanket.
@@ -36,7 +38,7 @@ impl Weight {
 }
 
 impl Tree {
-    /// The spanning tree of maximum mutual information over the target (equation 1 of the GLC paper,
+    /// The spanning tree of maximum weight, the mutual information or what stands for it, over the target (equation 1 of the GLC paper,
     /// 16 of the laser paper), rooted where the target knows most of a single variable.
     pub(crate) fn chow_liu(
         target: &Target,
@@ -90,8 +92,7 @@ fn root(target: &Target) -> usize {
 
 type WeightOf<'a> = Box<dyn Fn(usize, usize) -> Weight + 'a>;
 
-/// The share of its column that a direction counts for at least, in information. Chosen by what is lost
-/// (docs/removal.md).
+/// What is added to every direction, as a share of the mean over the directions of its unit.
 const DAMPING: f64 = 1e-3;
 
 /// The way to weigh pairs that fits the target.
@@ -111,7 +112,7 @@ fn weights_of<'a>(
             Box::new(move |i, j| Weight { nullity: 0, finite: pairs(i, j) })
         }
         Some(covariance) if worlds == 1 && all_move() => {
-            let damping = if weights == MutualInformation::Damped { DAMPING } else { 0.0 };
+            let damping = (weights == MutualInformation::Damped).then_some(DAMPING);
             relative(target, covariance, damping)
         }
         _ => vanishing_prior(target),
@@ -145,30 +146,49 @@ fn regular<'a>(
 /// faster for poses than for points. So poses are joined with each other first, then each point with
 /// a pose.
 ///
-/// Damped, `-½ ln |Σ_rel| = ½ ln |Λ_rel|` becomes `½ ln |Λ_rel + damping diag(Λ_rel)|`.
-fn relative<'a>(target: &'a Target, covariance: &'a CovarianceRoot, damping: f64) -> WeightOf<'a> {
+/// Damped, `-½ ln |Σ_rel| = ½ ln |Λ_rel|` becomes `½ ln |Λ_rel + damping D|` ([`damped`]), for which
+/// it matters who is seen: of two poses the first, as in iSAM's rule.
+fn relative<'a>(
+    target: &'a Target,
+    covariance: &'a CovarianceRoot,
+    damping: Option<f64>,
+) -> WeightOf<'a> {
     Box::new(move |i, j| {
-        let is_pose = |&k: &usize| pose_of(target.members[k].value.kind()).is_some();
-        // The first of two poses, whichever way round they are asked for: the diagonal is not the same
-        // seen from the other.
-        let first = [i.min(j), i.max(j)].into_iter().find(is_pose);
-        let Some(pose) = first else { return Weight::NONE };
+        let kind = |k: usize| target.members[k].value.kind();
+        let poses = [i.max(j), i.min(j)].into_iter().filter(|&k| pose_of(kind(k)).is_some());
+        let Some(pose) = poses.into_iter().next() else { return Weight::NONE };
         let other = if pose == i { j } else { i };
         let Some(seen) = covariance.seen(target, pose, other) else { return Weight::NONE };
-        let finite = match damping > 0.0 {
-            true => half_log_det(&damped(&information_root(&seen), damping)),
-            false => -half_log_det(&seen),
+        let finite = match damping {
+            Some(damping) => {
+                let units = units_of(kind(other), seen.nrows());
+                half_log_det(&damped(&information_root(&seen), damping, &units))
+            }
+            None => -half_log_det(&seen),
         };
         Weight { nullity: target.dim_of(other) as i64, finite }
     })
 }
 
-/// `[Rᵀ √damping diag(‖r_k‖)]` with r_k the columns of `R`: its square is `Λ + damping diag(Λ)`.
-fn damped(root: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
+/// The parts of a tangent that have a unit: translation and rotation of a pose, all of anything else.
+fn units_of(kind: &VariableType, dim: usize) -> Vec<Range<usize>> {
+    match pose_of(kind) {
+        Some(World::Plane) => vec![0..2, 2..3],
+        Some(World::Space) => vec![0..3, 3..6],
+        None => vec![0..dim],
+    }
+}
+
+/// `[Rᵀ √(damping D)]`, whose square is `Λ + damping D`: D is diagonal, and in each unit the mean of
+/// the diagonal of `Λ = RᵀR`, which stays as it is when the axes are turned.
+fn damped(root: &DMatrix<f64>, damping: f64, units: &[Range<usize>]) -> DMatrix<f64> {
     let (rows, n) = root.shape();
     let mut wide = root.transpose().resize_horizontally(rows + n, 0.0);
-    for (k, norm) in column_norms(root, n).into_iter().enumerate() {
-        wide[(k, rows + k)] = damping.sqrt() * norm;
+    for unit in units {
+        let mean = root.columns_range(unit.clone()).norm_squared() / unit.len() as f64;
+        for k in unit.clone() {
+            wide[(k, rows + k)] = (damping * mean).sqrt();
+        }
     }
     wide
 }
@@ -227,33 +247,45 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    /// Of a pose in space.
+    fn weight(root: &DMatrix<f64>) -> f64 {
+        half_log_det(&damped(root, DAMPING, &[0..3, 3..6]))
+    }
+
+    fn regular(numbers: Vec<f64>) -> DMatrix<f64> {
+        DMatrix::from_vec(6, 6, numbers) + DMatrix::<f64>::identity(6, 6) * 4.0
+    }
+
     proptest! {
         #[test]
-        fn damping_knows_no_units(
-            root in proptest::collection::vec(-1.0..1.0f64, 9),
+        fn damping_knows_no_units_and_no_axes(
+            numbers in proptest::collection::vec(-1.0..1.0f64, 36),
             unit in 1e-3..1e3f64,
+            angles in proptest::array::uniform3(-3.0..3.0f64),
         ) {
-            let root = DMatrix::from_vec(3, 3, root) + DMatrix::<f64>::identity(3, 3) * 2.0;
+            let root = regular(numbers);
             let mut other = root.clone();
-            other.columns_mut(0, 2).apply(|x| *x *= unit);
-            let weight = |root: &DMatrix<f64>| half_log_det(&damped(root, DAMPING));
+            other.columns_mut(0, 3).apply(|x| *x *= unit);
             // The same for all pairs: no tree depends on it.
             let difference = weight(&other) - weight(&root);
-            prop_assert!((difference - 2.0 * unit.ln()).abs() < 1e-9, "{difference}");
+            prop_assert!((difference - 3.0 * unit.ln()).abs() < 1e-9, "{difference}");
+            let turn = nalgebra::Rotation3::from_euler_angles(angles[0], angles[1], angles[2]);
+            let mut turned = root.clone();
+            turned.columns_mut(0, 3).copy_from(&(root.columns(0, 3) * turn.matrix()));
+            prop_assert!((weight(&turned) - weight(&root)).abs() < 1e-9);
         }
 
         #[test]
-        fn damping_matters_where_little_is_known(angle in 0.1..1.4f64, share in -6.0..0.0f64) {
-            // Known to 1 one way and to `weak` across.
-            let weak = 10f64.powf(share);
-            let (sin, cos) = angle.sin_cos();
-            let root = DMatrix::from_row_slice(2, 2, &[cos, sin, -weak * sin, weak * cos]);
-            let gained = half_log_det(&damped(&root, DAMPING)) - weak.ln();
-            // det(Λ + a diag Λ) = (1 + a)² det Λ + a (2 + a) Λ_01², by hand.
-            let (across, a) = (sin * cos * (1.0 - weak * weak), DAMPING);
-            let det = (1.0 + a).powi(2) * weak * weak + a * (2.0 + a) * across * across;
-            prop_assert!((gained - (0.5 * det.ln() - weak.ln())).abs() < 1e-8);
-            prop_assert!(gained > 0.0);
+        fn damping_is_the_determinant_by_hand(
+            numbers in proptest::collection::vec(-1.0..1.0f64, 36),
+        ) {
+            let root = regular(numbers);
+            let mut information = root.tr_mul(&root);
+            let diagonal = information.diagonal();
+            for k in 0..6 {
+                information[(k, k)] += DAMPING * diagonal.rows(k / 3 * 3, 3).mean();
+            }
+            prop_assert!((weight(&root) - 0.5 * information.determinant().ln()).abs() < 1e-9);
         }
     }
 }

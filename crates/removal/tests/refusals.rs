@@ -10,7 +10,9 @@ use evergraph_model::{
     Arguments, Factor, Graph, GraphError, Kernel, Key, LieGroup, Linearization, Manifold, Noise,
     Point2, Pose2, Robust, Value, VariableId, VariableType,
 };
-use evergraph_removal::{Guard, Offset, Options, Order, Rank, Recovery, Removal, RemovalError};
+use evergraph_removal::{
+    Guard, MutualInformation, Offset, Options, Order, Rank, Recovery, Removal, RemovalError,
+};
 use evergraph_solver::{Settings, Smoother, SmootherError};
 use nalgebra::{DMatrix, DVector};
 
@@ -465,6 +467,9 @@ fn options_are_data() {
     }
     let given: Options = serde_json::from_str(r#"{"recovery":"nonlinear"}"#).unwrap();
     assert_eq!(given, Options { recovery: Recovery::Nonlinear, ..Options::default() });
+    let given: Options = serde_json::from_str(r#"{"mutual_information":"limit"}"#).unwrap();
+    let limit = MutualInformation::Limit;
+    assert_eq!(given, Options { mutual_information: limit, ..Options::default() });
 }
 
 #[test]

@@ -78,7 +78,7 @@ enum OffsetName {
 enum Mode {
     /// Ours
     Default,
-    /// The GLC paper's: offset zero, inverse root shift
+    /// The GLC paper's: offset zero, inverse root shift, trees undamped
     Paper,
     /// iSAM 1.7's: offset zero, root shift, ln det (L + I), absolute tolerance
     Isam,
