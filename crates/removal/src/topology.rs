@@ -1,7 +1,6 @@
 //! The Chow-Liu tree: which variables the new factors join.
 
 use std::cmp::Ordering;
-use std::ops::Range;
 
 use evergraph_model::VariableType;
 use nalgebra::DMatrix;
@@ -92,7 +91,7 @@ fn root(target: &Target) -> usize {
 
 type WeightOf<'a> = Box<dyn Fn(usize, usize) -> Weight + 'a>;
 
-/// What is added to every direction, as a share of the mean over the directions of its unit.
+/// What is added to every direction, as a share of the mean over directions of its unit.
 const DAMPING: f64 = 1e-3;
 
 /// The way to weigh pairs that fits the target.
@@ -155,14 +154,16 @@ fn relative<'a>(
 ) -> WeightOf<'a> {
     Box::new(move |i, j| {
         let kind = |k: usize| target.members[k].value.kind();
-        let poses = [i.max(j), i.min(j)].into_iter().filter(|&k| pose_of(kind(k)).is_some());
-        let Some(pose) = poses.into_iter().next() else { return Weight::NONE };
+        let is_pose = |&k: &usize| pose_of(kind(k)).is_some();
+        let Some(pose) = [i.max(j), i.min(j)].into_iter().find(is_pose) else {
+            return Weight::NONE;
+        };
         let other = if pose == i { j } else { i };
         let Some(seen) = covariance.seen(target, pose, other) else { return Weight::NONE };
         let finite = match damping {
             Some(damping) => {
-                let units = units_of(kind(other), seen.nrows());
-                half_log_det(&damped(&information_root(&seen), damping, &units))
+                let lengths = lengths(kind(other), seen.nrows());
+                half_log_det(&damped(&information_root(&seen), damping, lengths))
             }
             None => -half_log_det(&seen),
         };
@@ -170,24 +171,25 @@ fn relative<'a>(
     })
 }
 
-/// The parts of a tangent that have a unit: translation and rotation of a pose, all of anything else.
-fn units_of(kind: &VariableType, dim: usize) -> Vec<Range<usize>> {
+/// How many numbers of a tangent are lengths: those of a pose come before its rotation; all else has
+/// one unit.
+fn lengths(kind: &VariableType, dim: usize) -> usize {
     match pose_of(kind) {
-        Some(World::Plane) => vec![0..2, 2..3],
-        Some(World::Space) => vec![0..3, 3..6],
-        None => vec![0..dim],
+        Some(World::Plane) => 2,
+        Some(World::Space) => 3,
+        None => dim,
     }
 }
 
-/// `[Rᵀ √(damping D)]`, whose square is `Λ + damping D`: D is diagonal, and in each unit the mean of
-/// the diagonal of `Λ = RᵀR`, which stays as it is when the axes are turned.
-fn damped(root: &DMatrix<f64>, damping: f64, units: &[Range<usize>]) -> DMatrix<f64> {
+/// `[Rᵀ √(damping D)]`, whose square is `Λ + damping D`: D is diagonal, over lengths and over the rest
+/// the mean of the diagonal of `Λ = RᵀR`, which stays as it is when the axes are turned.
+fn damped(root: &DMatrix<f64>, damping: f64, lengths: usize) -> DMatrix<f64> {
     let (rows, n) = root.shape();
     let mut wide = root.transpose().resize_horizontally(rows + n, 0.0);
-    for unit in units {
-        let mean = root.columns_range(unit.clone()).norm_squared() / unit.len() as f64;
+    for unit in [0..lengths, lengths..n] {
+        let sum = root.columns_range(unit.clone()).norm_squared();
         for k in unit.clone() {
-            wide[(k, rows + k)] = (damping * mean).sqrt();
+            wide[(k, rows + k)] = (damping * sum / unit.len() as f64).sqrt();
         }
     }
     wide
@@ -249,7 +251,7 @@ mod tests {
 
     /// Of a pose in space.
     fn weight(root: &DMatrix<f64>) -> f64 {
-        half_log_det(&damped(root, DAMPING, &[0..3, 3..6]))
+        half_log_det(&damped(root, DAMPING, 3))
     }
 
     fn regular(numbers: Vec<f64>) -> DMatrix<f64> {
