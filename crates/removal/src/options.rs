@@ -58,7 +58,7 @@ pub enum MutualInformation {
     /// `½ (ln det(Λ_i|j + I) - ln det(Λ_i + I))`, as iSAM 1.7 has it: defined for singular targets,
     /// and depends on units.
     LogDetPlusIdentity,
-    /// [`MutualInformation::Limit`], but `½ ln det(Λ + 1e-3 D)` where all is relative and otherwise
+    /// [`MutualInformation::Limit`], but `½ ln det(Λ + 1e-4 D)` where all is relative and otherwise
     /// known, D the mean of the diagonal of Λ over translations and over rotations.
     ///
     /// Directions of which a pair knows far less than of others, sideways at the end of a long lever for

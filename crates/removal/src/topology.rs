@@ -91,8 +91,9 @@ fn root(target: &Target) -> usize {
 
 type WeightOf<'a> = Box<dyn Fn(usize, usize) -> Weight + 'a>;
 
-/// What is added to every direction, as a share of the mean over directions of its unit.
-const DAMPING: f64 = 1e-3;
+/// What is added to every direction, as a share of the mean over directions of its unit. With 1e-3
+/// nine tenths of sphere2500, by least degree, lose sixteen times as much as without.
+const DAMPING: f64 = 1e-4;
 
 /// The way to weigh pairs that fits the target.
 fn weights_of<'a>(

@@ -166,7 +166,7 @@ fn relative<G: LieGroup<N>, const N: usize>(count: usize, seed: u64) -> (Scene, 
 /// on one variable that vanishes: Σ with that variable held; trees by `-½ ln |Σ_rel|`; an edge is
 /// `[-A I]ᵀ Σ_rel⁻¹ [-A I]` with `x_rel = x_j - A x_i` and A the adjoint of `x_j⁻¹ x_i`.
 ///
-/// Damped, trees are by `½ ln |Σ_rel⁻¹ + 1e-3 D|` of the first of two as the second sees it, D the mean
+/// Damped, trees are by `½ ln |Σ_rel⁻¹ + 1e-4 D|` of the first of two as the second sees it, D the mean
 /// of the diagonal over translation and over rotation.
 fn relative_tree_information<G: LieGroup<N>, const N: usize>(
     lambda: &DMatrix<f64>,
@@ -198,7 +198,7 @@ fn relative_tree_information<G: LieGroup<N>, const N: usize>(
                 let diagonal = known.diagonal();
                 for part in [0..translations(N), translations(N)..N] {
                     let mean = diagonal.rows_range(part.clone()).mean();
-                    part.for_each(|k| known[(k, k)] += 1e-3 * mean);
+                    part.for_each(|k| known[(k, k)] += 1e-4 * mean);
                 }
                 0.5 * known.determinant().ln()
             }
