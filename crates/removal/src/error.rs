@@ -68,6 +68,14 @@ pub enum RemovalError {
         /// Its dimension.
         dim: usize,
     },
+    /// Estimates that are not as many as variables were asked for.
+    #[error("{expected} estimates were asked for and {actual} came")]
+    EstimateCount {
+        /// How many variables there were.
+        expected: usize,
+        /// How many estimates.
+        actual: usize,
+    },
     /// A factor whose residual or Jacobian is not finite at the estimate.
     #[error(
         "factor {factor} ({name}) on {variables:?} has a residual or Jacobian that is not finite at the \

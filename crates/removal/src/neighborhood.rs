@@ -78,11 +78,9 @@ impl Neighborhood {
             let largest = options.largest_blanket;
             return Err(RemovalError::LargeBlanket { variable: first, dim, largest });
         }
-        let members = removed
-            .iter()
-            .chain(&blanket)
-            .map(|&id| Ok(Member { id, value: overlay.estimate(id)? }))
-            .collect::<Result<Vec<_>, RemovalError>>()?;
+        let ids = [removed, blanket.as_slice()].concat();
+        let values = overlay.estimates_of(&ids)?;
+        let members = ids.into_iter().zip(values).map(|(id, value)| Member { id, value }).collect();
         let mut neighborhood =
             Self { members, removed: removed.len(), factors: Vec::new(), rejected: Vec::new() };
         let places = Places::new(removed, &blanket);

@@ -16,6 +16,14 @@ pub trait Estimates {
     /// # Errors
     /// [`GraphError`] when there is none.
     fn estimate(&self, variable: VariableId) -> Result<Value, GraphError>;
+
+    /// The estimates of some variables, in their order: where they share work, at once.
+    ///
+    /// # Errors
+    /// [`GraphError`] when there is none for one of them.
+    fn estimates_of(&self, variables: &[VariableId]) -> Result<Vec<Value>, GraphError> {
+        variables.iter().map(|&variable| self.estimate(variable)).collect()
+    }
 }
 
 impl Estimates for Values {
@@ -104,7 +112,29 @@ impl<'a> Overlay<'a> {
 
     /// The estimate, checked.
     pub(crate) fn estimate(&self, variable: VariableId) -> Result<Value, RemovalError> {
-        let value = self.estimates.estimate(variable)?;
+        self.checked(variable, self.estimates.estimate(variable)?)
+    }
+
+    /// The estimates, each checked.
+    pub(crate) fn estimates_of(
+        &self,
+        variables: &[VariableId],
+    ) -> Result<Vec<Value>, RemovalError> {
+        let values = self.estimates.estimates_of(variables)?;
+        if values.len() != variables.len() {
+            return Err(RemovalError::EstimateCount {
+                expected: variables.len(),
+                actual: values.len(),
+            });
+        }
+        variables
+            .iter()
+            .zip(values)
+            .map(|(&variable, value)| self.checked(variable, value))
+            .collect()
+    }
+
+    fn checked(&self, variable: VariableId, value: Value) -> Result<Value, RemovalError> {
         let index = variable.index();
         let fits = value.kind() == self.graph.kind_at(index)
             && value.dim() == self.graph.dim_at(index)

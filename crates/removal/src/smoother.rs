@@ -14,6 +14,14 @@ impl Estimates for Smoother {
         self.graph().check_variable(variable)?;
         self.estimate_value(variable).map_err(|_| GraphError::UnknownVariable { variable })
     }
+
+    fn estimates_of(&self, variables: &[VariableId]) -> Result<Vec<Value>, GraphError> {
+        for &variable in variables {
+            self.graph().check_variable(variable)?;
+        }
+        let unknown = |_| GraphError::UnknownVariable { variable: variables[0] };
+        self.estimate_values(variables).map_err(unknown)
+    }
 }
 
 impl Estimates for evergraph_solver::Estimates<'_> {

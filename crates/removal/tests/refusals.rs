@@ -8,10 +8,11 @@ use common::*;
 use evergraph_factors::{BetweenPose2, Linear, Prior, RelativePosition2, RootShift};
 use evergraph_model::{
     Arguments, Factor, Graph, GraphError, Kernel, Key, LieGroup, Linearization, Manifold, Noise,
-    Point2, Pose2, Robust, Value, VariableId, VariableType,
+    Point2, Pose2, Robust, Value, Values, VariableId, VariableType,
 };
 use evergraph_removal::{
-    Guard, MutualInformation, Offset, Options, Order, Rank, Recovery, Removal, RemovalError,
+    Estimates, Guard, MutualInformation, Offset, Options, Order, Rank, Recovery, Removal,
+    RemovalError,
 };
 use evergraph_solver::{Settings, Smoother, SmootherError};
 use nalgebra::{DMatrix, DVector};
@@ -392,6 +393,31 @@ fn estimates_come_from_anything_that_has_them() {
     let (_, foreign) = chain(2);
     let error = Removal::new(smoother.graph(), &smoother).plan(foreign[0]).unwrap_err();
     assert!(matches!(error, RemovalError::Graph(GraphError::Foreign { .. })), "{error}");
+}
+
+/// Estimates of one's own, one too few.
+struct TooFew(Values);
+
+impl Estimates for TooFew {
+    fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
+        self.0.estimate(variable)
+    }
+
+    fn estimates_of(&self, variables: &[VariableId]) -> Result<Vec<Value>, GraphError> {
+        self.0.estimates_of(&variables[1..])
+    }
+}
+
+#[test]
+fn estimates_that_are_too_few_are_refused() {
+    let (smoother, keys) = chain(4);
+    let few = TooFew(smoother.estimates());
+    let error = Removal::new(smoother.graph(), &few).plan(keys[1]).unwrap_err();
+    assert!(matches!(error, RemovalError::EstimateCount { expected: 3, actual: 2 }), "{error}");
+    let foreign = [keys[1].id(), chain(2).1[0].id()];
+    assert!(matches!(smoother.estimate_values(&foreign), Err(SmootherError::Graph(_))));
+    assert!(Estimates::estimates_of(&smoother, &foreign).is_err());
+    assert!(smoother.estimate_values(&[]).unwrap().is_empty());
 }
 
 /// A covariance that is none: indefinite, or not a number.

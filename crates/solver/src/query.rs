@@ -56,6 +56,35 @@ impl Smoother {
         Ok(self.graph.value(index, &estimate))
     }
 
+    /// [`estimate_value`](Self::estimate_value) of each, in the order given: the same numbers, but cliques
+    /// above several of them are solved once.
+    ///
+    /// # Errors
+    /// [`SmootherError::Graph`] for an id that is stale or foreign.
+    pub fn estimate_values(&self, variables: &[VariableId]) -> Result<Vec<Value>, SmootherError> {
+        for &variable in variables {
+            self.graph.check_variable(variable)?;
+        }
+        let indices: Vec<u32> = variables.iter().map(|id| id.index() as u32).collect();
+        let delta = match self.at_optimum {
+            true => vec![0.0; indices.iter().map(|&i| self.graph.dim_at(i as usize)).sum()],
+            false => solve::paths(self.scratch.instructions, &self.graph, &self.tree, &indices),
+        };
+        let mut rest = delta.as_slice();
+        let mut values = Vec::with_capacity(variables.len());
+        for index in variables.iter().map(|id| id.index()) {
+            let point = &self.points[self.graph.value_range(index)];
+            let (own, others) = rest.split_at(self.graph.dim_at(index));
+            rest = others;
+            let mut estimate = point.to_vec();
+            if !self.at_optimum {
+                self.graph.kind_at(index).retract(point, own, &mut estimate);
+            }
+            values.push(self.graph.value(index, &estimate));
+        }
+        Ok(values)
+    }
+
     /// The estimates of all variables, exact for the current factorization.
     pub fn estimates(&self) -> Values {
         Values::from_arena(&self.graph, &self.estimate_points())

@@ -1,8 +1,10 @@
 //! Back-substitution: from the factorization to δ, the step from linearization point to estimate.
 //!
 //! A clique gives `R_ff δ_f = −d − R_fs δ_s`, so δ is found from the roots down. Three ways:
-//! [`all`] (exact, everything), [`path`] (exact, only what one variable needs) and
+//! [`all`] (exact, everything), [`path`] and [`paths`] (exact, only what one variable or some need) and
 //! [`State::refresh`] (only what has changed by more than a tolerance).
+
+use std::collections::HashMap;
 
 use evergraph_model::Graph;
 use pulp::{Simd, WithSimd};
@@ -141,6 +143,34 @@ pub(crate) fn path(
     }
     let own = path.len() - 1;
     frontal_part(graph, tree.clique(path[own]), &solved[own], variable).to_vec()
+}
+
+/// δ of some variables under each other, exact: [`path`] for each, but cliques above several of them
+/// are solved once.
+pub(crate) fn paths(
+    instructions: Instructions,
+    graph: &Graph,
+    tree: &Tree,
+    variables: &[u32],
+) -> Vec<f64> {
+    let mut solved: HashMap<u32, Vec<f64>> = HashMap::new();
+    let mut delta = Vec::new();
+    for &variable in variables {
+        let own = tree.clique_of(variable);
+        for index in tree.path_to(own) {
+            if solved.contains_key(&index) {
+                continue;
+            }
+            let mut scratch = Vec::new();
+            solve_clique(instructions, tree.clique(index), 0, &mut scratch, |v, out| {
+                let owner = tree.clique_of(v);
+                copy_to_front(frontal_part(graph, tree.clique(owner), &solved[&owner], v), out)
+            });
+            solved.insert(index, scratch);
+        }
+        delta.extend_from_slice(frontal_part(graph, tree.clique(own), &solved[&own], variable));
+    }
+    delta
 }
 
 /// The entries of `solution` (of a clique's frontals) that belong to `variable`.

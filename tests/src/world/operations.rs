@@ -2,7 +2,7 @@
 
 use std::num::NonZeroU32;
 
-use evergraph::model::{Change, FactorId, Kernel, Key, Pose2};
+use evergraph::model::{Change, FactorId, Kernel, Key, Pose2, VariableId};
 use evergraph::solver::{BatchSettings, Elimination, Fluid, Relinearization};
 use evergraph::{Settings, Smoother, SmootherError};
 
@@ -311,9 +311,19 @@ impl World {
         let variable = self.variables[which % self.variables.len()].id();
         let mut change = self.smoother.change();
         let estimate = self.smoother.estimate_value(variable).expect("the variable is there");
+        self.check_estimates_together();
         let step = self.wiggle.vector(estimate.dim(), 0.05);
         change.move_value(variable, estimate.retract(&step).expect("the step has its dimension"));
         self.apply(change, "moving a linearization point");
+    }
+
+    /// Several estimates at once are those of each, to the bit, and foreign ids are refused.
+    fn check_estimates_together(&self) {
+        let ids: Vec<VariableId> = self.variables.iter().map(|key| key.id()).collect();
+        let together = self.smoother.estimate_values(&ids).expect("the variables are there");
+        for (id, value) in ids.into_iter().zip(together) {
+            assert_eq!(value, self.smoother.estimate_value(id).expect("the variable is there"));
+        }
     }
 
     /// Applies a change that may be refused for want of information only.
