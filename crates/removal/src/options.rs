@@ -62,9 +62,8 @@ pub enum MutualInformation {
     /// known, D the mean of the diagonal of Λ over translations and over rotations.
     ///
     /// Directions of which a pair knows far less than of others, sideways at the end of a long lever for
-    /// one, are known better by the rest of the graph, and a logarithm would let them decide. iSAM's `+ I`
-    /// does the like in units of 1 m and 1 rad; this has no units, and does not depend on how axes are
-    /// turned.
+    /// one, count for less. iSAM's `+ I` does the like in units of 1 m and 1 rad; this has no units, and
+    /// does not depend on how axes are turned.
     #[default]
     Damped,
 }

@@ -317,7 +317,7 @@ impl World {
         self.apply(change, "moving a linearization point");
     }
 
-    /// Several estimates at once are those of each, to the bit, and foreign ids are refused.
+    /// Several estimates at once are those of each, to the bit.
     fn check_estimates_together(&self) {
         let ids: Vec<VariableId> = self.variables.iter().map(|key| key.id()).collect();
         let together = self.smoother.estimate_values(&ids).expect("the variables are there");
