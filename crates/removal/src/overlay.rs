@@ -110,11 +110,6 @@ impl<'a> Overlay<'a> {
         Ok(())
     }
 
-    /// The estimate, checked.
-    pub(crate) fn estimate(&self, variable: VariableId) -> Result<Value, RemovalError> {
-        self.checked(variable, self.estimates.estimate(variable)?)
-    }
-
     /// The estimates, each checked.
     pub(crate) fn estimates_of(
         &self,

@@ -109,8 +109,8 @@ impl Plan {
         for factor in overlay.surviving() {
             change.add_shared_factor(std::sync::Arc::clone(factor));
         }
-        for &variable in &kept {
-            change.move_value(variable, overlay.estimate(variable)?);
+        for (&variable, value) in kept.iter().zip(overlay.estimates_of(&kept)?) {
+            change.move_value(variable, value);
         }
         Ok(Self { change, steps })
     }

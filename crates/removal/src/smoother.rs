@@ -16,11 +16,7 @@ impl Estimates for Smoother {
     }
 
     fn estimates_of(&self, variables: &[VariableId]) -> Result<Vec<Value>, GraphError> {
-        for &variable in variables {
-            self.graph().check_variable(variable)?;
-        }
-        let unknown = |_| GraphError::UnknownVariable { variable: variables[0] };
-        self.estimate_values(variables).map_err(unknown)
+        self.estimate_values(variables)
     }
 }
 

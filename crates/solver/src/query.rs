@@ -2,7 +2,7 @@
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-use evergraph_model::{FactorId, Graph, Key, Manifold, Value, Values, VariableId};
+use evergraph_model::{FactorId, Graph, GraphError, Key, Manifold, Value, Values, VariableId};
 
 use crate::error::SmootherError;
 use crate::quadratic::retract_all;
@@ -44,45 +44,40 @@ impl Smoother {
     /// # Errors
     /// [`SmootherError::Graph`] for an id that is stale or foreign.
     pub fn estimate_value(&self, variable: VariableId) -> Result<Value, SmootherError> {
+        if self.at_optimum {
+            return self.linearization_point(variable);
+        }
         self.graph.check_variable(variable)?;
         let index = variable.index();
-        let point = &self.points[self.graph.value_range(index)];
-        if self.at_optimum {
-            return Ok(self.graph.value(index, point));
-        }
         let delta = solve::path(self.scratch.instructions, &self.graph, &self.tree, index as u32);
-        let mut estimate = vec![0.0; point.len()];
-        self.graph.kind_at(index).retract(point, &delta, &mut estimate);
-        Ok(self.graph.value(index, &estimate))
+        Ok(self.moved(index, &delta))
     }
 
     /// [`estimate_value`](Self::estimate_value) of each, in the order given: the same numbers, but cliques
     /// above several of them are solved once.
     ///
     /// # Errors
-    /// [`SmootherError::Graph`] for an id that is stale or foreign.
-    pub fn estimate_values(&self, variables: &[VariableId]) -> Result<Vec<Value>, SmootherError> {
+    /// [`GraphError`] for an id that is stale or foreign.
+    pub fn estimate_values(&self, variables: &[VariableId]) -> Result<Vec<Value>, GraphError> {
         for &variable in variables {
             self.graph.check_variable(variable)?;
         }
-        let indices: Vec<u32> = variables.iter().map(|id| id.index() as u32).collect();
-        let delta = match self.at_optimum {
-            true => vec![0.0; indices.iter().map(|&i| self.graph.dim_at(i as usize)).sum()],
-            false => solve::paths(self.scratch.instructions, &self.graph, &self.tree, &indices),
-        };
-        let mut rest = delta.as_slice();
-        let mut values = Vec::with_capacity(variables.len());
-        for index in variables.iter().map(|id| id.index()) {
-            let point = &self.points[self.graph.value_range(index)];
-            let (own, others) = rest.split_at(self.graph.dim_at(index));
-            rest = others;
-            let mut estimate = point.to_vec();
-            if !self.at_optimum {
-                self.graph.kind_at(index).retract(point, own, &mut estimate);
-            }
-            values.push(self.graph.value(index, &estimate));
+        if self.at_optimum {
+            let point =
+                |index| self.graph.value(index, &self.points[self.graph.value_range(index)]);
+            return Ok(variables.iter().map(|id| point(id.index())).collect());
         }
-        Ok(values)
+        let indices: Vec<u32> = variables.iter().map(|id| id.index() as u32).collect();
+        let deltas = solve::paths(self.scratch.instructions, &self.graph, &self.tree, &indices);
+        Ok(variables.iter().zip(deltas).map(|(id, delta)| self.moved(id.index(), &delta)).collect())
+    }
+
+    /// The linearization point of a variable, moved by δ.
+    fn moved(&self, index: usize, delta: &[f64]) -> Value {
+        let point = &self.points[self.graph.value_range(index)];
+        let mut estimate = vec![0.0; point.len()];
+        self.graph.kind_at(index).retract(point, delta, &mut estimate);
+        self.graph.value(index, &estimate)
     }
 
     /// The estimates of all variables, exact for the current factorization.

@@ -119,58 +119,59 @@ pub(crate) fn path(
     tree: &Tree,
     variable: u32,
 ) -> Vec<f64> {
-    let path = tree.path_to(tree.clique_of(variable));
-    // Where on the path each clique stands; the newest variable's path is a single clique.
-    let mut places: Vec<(u32, usize)> =
-        path.iter().enumerate().map(|(place, &c)| (c, place)).collect();
-    places.sort_unstable();
-    let mut solved: Vec<Vec<f64>> = Vec::with_capacity(path.len());
-    for &index in &path {
-        let mut scratch = Vec::new();
-        let clique = tree.clique(index);
+    let own = tree.clique_of(variable);
+    let mut solved = Solved { instructions, graph, tree, cliques: HashMap::new() };
+    for clique in tree.path_to(own) {
         // Of the variable's own clique only what is solved before it: of the newest, itself.
-        let is_own = index == path[path.len() - 1];
-        let first = if is_own { offset_of(graph, clique, variable) } else { 0 };
-        solve_clique(instructions, clique, first, &mut scratch, |v, out| {
-            let owner = tree.clique_of(v);
-            let place = places
-                .binary_search_by_key(&owner, |p| p.0)
-                .expect("separators are frontal further up");
-            let solution = &solved[places[place].1];
-            copy_to_front(frontal_part(graph, tree.clique(owner), solution, v), out)
-        });
-        solved.push(scratch);
+        let first = if clique == own { offset_of(graph, tree.clique(own), variable) } else { 0 };
+        solved.solve(clique, first);
     }
-    let own = path.len() - 1;
-    frontal_part(graph, tree.clique(path[own]), &solved[own], variable).to_vec()
+    solved.of(variable).to_vec()
 }
 
-/// δ of some variables under each other, exact: [`path`] for each, but cliques above several of them
-/// are solved once.
+/// δ of each variable, exact: [`path`], but cliques above several of them are solved once.
 pub(crate) fn paths(
     instructions: Instructions,
     graph: &Graph,
     tree: &Tree,
     variables: &[u32],
-) -> Vec<f64> {
-    let mut solved: HashMap<u32, Vec<f64>> = HashMap::new();
-    let mut delta = Vec::new();
-    for &variable in variables {
-        let own = tree.clique_of(variable);
-        for index in tree.path_to(own) {
-            if solved.contains_key(&index) {
-                continue;
+) -> Vec<Vec<f64>> {
+    let mut solved = Solved { instructions, graph, tree, cliques: HashMap::new() };
+    let mut delta = |variable: u32| {
+        for clique in tree.path_to(tree.clique_of(variable)) {
+            if !solved.cliques.contains_key(&clique) {
+                solved.solve(clique, 0);
             }
-            let mut scratch = Vec::new();
-            solve_clique(instructions, tree.clique(index), 0, &mut scratch, |v, out| {
-                let owner = tree.clique_of(v);
-                copy_to_front(frontal_part(graph, tree.clique(owner), &solved[&owner], v), out)
-            });
-            solved.insert(index, scratch);
         }
-        delta.extend_from_slice(frontal_part(graph, tree.clique(own), &solved[&own], variable));
+        solved.of(variable).to_vec()
+    };
+    variables.iter().map(|&variable| delta(variable)).collect()
+}
+
+/// Some cliques' frontal δ, those of all cliques above them included.
+struct Solved<'a> {
+    instructions: Instructions,
+    graph: &'a Graph,
+    tree: &'a Tree,
+    cliques: HashMap<u32, Vec<f64>>,
+}
+
+impl Solved<'_> {
+    /// Solves one more clique for its frontal scalars from `first` on, after those above it.
+    fn solve(&mut self, index: u32, first: usize) {
+        let mut scratch = Vec::new();
+        let clique = self.tree.clique(index);
+        solve_clique(self.instructions, clique, first, &mut scratch, |v, out| {
+            copy_to_front(self.of(v), out)
+        });
+        self.cliques.insert(index, scratch);
     }
-    delta
+
+    /// δ of a variable that is frontal in one of the cliques.
+    fn of(&self, variable: u32) -> &[f64] {
+        let owner = self.tree.clique_of(variable);
+        frontal_part(self.graph, self.tree.clique(owner), &self.cliques[&owner], variable)
+    }
 }
 
 /// The entries of `solution` (of a clique's frontals) that belong to `variable`.
