@@ -7,35 +7,14 @@ mod common;
 use common::*;
 use evergraph_factors::{BetweenPose2, Linear, Prior, RelativePosition2, RootShift};
 use evergraph_model::{
-    Arguments, Factor, Graph, GraphError, Kernel, Key, LieGroup, Linearization, Manifold, Noise,
-    Point2, Pose2, Robust, Value, Values, VariableId, VariableType,
+    Arguments, Factor, Graph, GraphError, Kernel, LieGroup, Linearization, Manifold, Noise, Point2,
+    Pose2, Robust, Value, VariableId, VariableType,
 };
 use evergraph_removal::{
-    Estimates, Guard, MutualInformation, Offset, Options, Order, Rank, Recovery, Removal,
-    RemovalError,
+    Guard, MutualInformation, Offset, Options, Order, Rank, Recovery, Removal, RemovalError,
 };
 use evergraph_solver::{Settings, Smoother, SmootherError};
 use nalgebra::{DMatrix, DVector};
-
-fn sigma() -> Noise {
-    Noise::isotropic(3, 0.1).unwrap()
-}
-
-/// A prior and a chain of poses.
-fn chain(count: usize) -> (Smoother, Vec<Key<Pose2>>) {
-    let mut smoother = Smoother::new(Settings { threads: 1, ..Settings::default() }).unwrap();
-    let mut change = smoother.change();
-    let keys: Vec<_> = (0..count)
-        .map(|k| change.add_variable(&Pose2::new(k as f64, 0.0, 0.1 * k as f64)))
-        .collect();
-    change.add_factor(Prior::new(keys[0], Pose2::identity(), sigma()).unwrap());
-    for pair in keys.windows(2) {
-        let z = Pose2::new(1.0, 0.1, 0.1);
-        change.add_factor(BetweenPose2::new(pair[0], pair[1], z, sigma()).unwrap());
-    }
-    smoother.apply(change).unwrap();
-    (smoother, keys)
-}
 
 #[test]
 fn a_plan_goes_stale_with_anything_that_it_read() {
@@ -371,70 +350,6 @@ fn whole_weights_are_whole_to_rounding() {
         let options = Options { least_weight: 1.0, ..Options::default() };
         let plan = scene.plan(scene.ids()[0], options);
         assert!(plan.steps()[0].rejected.is_empty(), "no factor here is robust");
-    }
-}
-
-/// A smoother, its estimates kept or copied, and a closure: all say the same.
-#[test]
-fn estimates_come_from_anything_that_has_them() {
-    let (mut smoother, keys) = chain(6);
-    let node = keys[2].id();
-    let values = smoother.estimates();
-    let expected = Removal::new(smoother.graph(), &values).plan(node).unwrap();
-    let closure = |id: VariableId| values.value(id).map(|value| value.to_value());
-    let by_closure = Removal::new(smoother.graph(), &closure).plan(node).unwrap();
-    assert_eq!(by_closure.steps(), expected.steps());
-    let direct = Removal::new(smoother.graph(), &smoother).plan(node).unwrap();
-    assert_eq!(direct.steps(), expected.steps());
-    assert_eq!(direct.drift(&smoother).unwrap(), expected.drift(&values).unwrap());
-    let kept = smoother.kept_estimates(0.0);
-    let by_kept = Removal::new(kept.graph(), &kept).plan(node).unwrap();
-    assert_eq!(by_kept.steps(), expected.steps());
-    let (_, foreign) = chain(2);
-    let error = Removal::new(smoother.graph(), &smoother).plan(foreign[0]).unwrap_err();
-    assert!(matches!(error, RemovalError::Graph(GraphError::Foreign { .. })), "{error}");
-}
-
-/// Estimates of one's own, one too few.
-struct TooFew(Values);
-
-impl Estimates for TooFew {
-    fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
-        self.0.estimate(variable)
-    }
-
-    fn estimates_of(&self, variables: &[VariableId]) -> Result<Vec<Value>, GraphError> {
-        self.0.estimates_of(&variables[1..])
-    }
-}
-
-#[test]
-fn estimates_that_are_too_few_are_refused() {
-    let (smoother, keys) = chain(4);
-    let few = TooFew(smoother.estimates());
-    let error = Removal::new(smoother.graph(), &few).plan(keys[1]).unwrap_err();
-    assert!(matches!(error, RemovalError::EstimateCount { expected: 3, actual: 2 }), "{error}");
-    let foreign = [keys[1].id(), chain(2).1[0].id()];
-    assert!(matches!(smoother.estimate_values(&foreign), Err(GraphError::Foreign { .. })));
-    assert!(Estimates::estimates_of(&smoother, &foreign).is_err());
-    assert!(smoother.estimate_values(&[]).unwrap().is_empty());
-}
-
-/// A covariance that is none: indefinite, or not a number.
-#[test]
-fn covariances_that_are_none_are_refused() {
-    let (smoother, keys) = chain(4);
-    for bad in [-1.0, f64::NAN, f64::INFINITY] {
-        let mut joint = |ids: &[VariableId]| {
-            let mut sigma = DMatrix::identity(3 * ids.len(), 3 * ids.len());
-            sigma[(1, 1)] = bad;
-            Ok::<_, String>(sigma)
-        };
-        for order in [Order::Given, Order::MinLoss] {
-            let mut removal = Removal::new(smoother.graph(), &smoother).priced_by(&mut joint);
-            let error = removal.plan_many(&[keys[1].id()], order).unwrap_err();
-            assert!(matches!(error, RemovalError::Covariance { .. }), "{error}");
-        }
     }
 }
 

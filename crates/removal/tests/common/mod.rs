@@ -2,9 +2,11 @@
 // Each test file uses a part of it; what fails here fails a test.
 #![allow(dead_code, unused_imports, clippy::unwrap_used)]
 
+mod chain;
 mod draw;
 mod drive;
 
+pub use chain::{chain, sigma};
 pub use draw::{Draw, KINDS, Kind, neighborhood};
 pub use drive::{drive, optimum};
 

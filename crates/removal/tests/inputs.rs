@@ -1,0 +1,74 @@
+//! Estimates and covariances that a plan is made from.
+// Helpers of tests fail the test.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::*;
+use evergraph_model::{GraphError, Value, Values, VariableId};
+use evergraph_removal::{Estimates, Order, Removal, RemovalError};
+use nalgebra::DMatrix;
+
+/// A smoother, its estimates kept or copied, and a closure: all say the same.
+#[test]
+fn estimates_come_from_anything_that_has_them() {
+    let (mut smoother, keys) = chain(6);
+    let node = keys[2].id();
+    let values = smoother.estimates();
+    let expected = Removal::new(smoother.graph(), &values).plan(node).unwrap();
+    let closure = |id: VariableId| values.value(id).map(|value| value.to_value());
+    let by_closure = Removal::new(smoother.graph(), &closure).plan(node).unwrap();
+    assert_eq!(by_closure.steps(), expected.steps());
+    let direct = Removal::new(smoother.graph(), &smoother).plan(node).unwrap();
+    assert_eq!(direct.steps(), expected.steps());
+    assert_eq!(direct.drift(&smoother).unwrap(), expected.drift(&values).unwrap());
+    let kept = smoother.kept_estimates(0.0);
+    let by_kept = Removal::new(kept.graph(), &kept).plan(node).unwrap();
+    assert_eq!(by_kept.steps(), expected.steps());
+    let (_, foreign) = chain(2);
+    let error = Removal::new(smoother.graph(), &smoother).plan(foreign[0]).unwrap_err();
+    assert!(matches!(error, RemovalError::Graph(GraphError::Foreign { .. })), "{error}");
+}
+
+/// Estimates of one's own, one too few.
+struct TooFew(Values);
+
+impl Estimates for TooFew {
+    fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
+        self.0.estimate(variable)
+    }
+
+    fn estimates_of(&self, variables: &[VariableId]) -> Result<Vec<Value>, GraphError> {
+        self.0.estimates_of(&variables[1..])
+    }
+}
+
+#[test]
+fn estimates_that_are_too_few_are_refused() {
+    let (smoother, keys) = chain(4);
+    let few = TooFew(smoother.estimates());
+    let error = Removal::new(smoother.graph(), &few).plan(keys[1]).unwrap_err();
+    assert!(matches!(error, RemovalError::EstimateCount { expected: 3, actual: 2 }), "{error}");
+    let foreign = [keys[1].id(), chain(2).1[0].id()];
+    assert!(matches!(smoother.estimate_values(&foreign), Err(GraphError::Foreign { .. })));
+    assert!(Estimates::estimates_of(&smoother, &foreign).is_err());
+    assert!(smoother.estimate_values(&[]).unwrap().is_empty());
+}
+
+/// A covariance that is none: indefinite, or not a number.
+#[test]
+fn covariances_that_are_none_are_refused() {
+    let (smoother, keys) = chain(4);
+    for bad in [-1.0, f64::NAN, f64::INFINITY] {
+        let mut joint = |ids: &[VariableId]| {
+            let mut sigma = DMatrix::identity(3 * ids.len(), 3 * ids.len());
+            sigma[(1, 1)] = bad;
+            Ok::<_, String>(sigma)
+        };
+        for order in [Order::Given, Order::MinLoss] {
+            let mut removal = Removal::new(smoother.graph(), &smoother).priced_by(&mut joint);
+            let error = removal.plan_many(&[keys[1].id()], order).unwrap_err();
+            assert!(matches!(error, RemovalError::Covariance { .. }), "{error}");
+        }
+    }
+}
