@@ -74,7 +74,7 @@ pub use error::RemovalError;
 pub use evergraph_factors::RootShift;
 pub use options::{Guard, MutualInformation, Offset, Options, Rank, Recovery, Topology};
 pub use order::{Order, shuffled};
-pub use overlay::{Estimates, Source};
+pub use overlay::{Estimates, Linearized, Source};
 pub use plan::{Plan, Removal};
 pub use price::Covariance;
 pub use queue::{DegreeQueue, Loss, LossQueue};

@@ -115,7 +115,7 @@ mod tests {
         let mut change = Graph::new().change();
         let mut member = || {
             let value = Value::new(&Point2::new(0.0, 0.0));
-            Member { id: change.add_value(value.clone()), value }
+            Member::at(change.add_value(value.clone()), value)
         };
         Target {
             members: (0..members).map(|_| member()).collect(),
@@ -127,6 +127,7 @@ mod tests {
             held: [None; 2],
             explained: 0.0,
             free: 0,
+            delta: DVector::zeros(n),
         }
     }
 

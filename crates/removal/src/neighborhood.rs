@@ -1,21 +1,45 @@
 //! What a removal reads: the Markov blanket of the removed nodes and the factors inside it.
 
 use evergraph_model::{Arguments, Factor, Linearization, Value, VariableId};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use smallvec::SmallVec;
 
 use crate::error::RemovalError;
 use crate::options::Options;
 use crate::overlay::{Overlay, Source};
 
-/// A variable with its estimate.
+/// A variable, and where the removal sees it.
 #[derive(Clone, Debug)]
 pub(crate) struct Member {
     pub(crate) id: VariableId,
+    /// Where its factors are linearized.
     pub(crate) value: Value,
+    /// The step from there to the estimate.
+    pub(crate) delta: DVector<f64>,
 }
 
-/// A factor at the estimate: the rows `[J₁ … Jₖ | b]` with `b = -r`.
+impl Member {
+    /// At its estimate.
+    pub(crate) fn at(id: VariableId, value: Value) -> Self {
+        let delta = DVector::zeros(value.dim());
+        Self { id, value, delta }
+    }
+
+    /// The estimate's stored numbers.
+    pub(crate) fn estimate(&self) -> Vec<f64> {
+        let mut estimate = self.value.storage().to_vec();
+        if self.is_off() {
+            self.value.kind().retract(self.value.storage(), self.delta.as_slice(), &mut estimate);
+        }
+        estimate
+    }
+
+    fn is_off(&self) -> bool {
+        self.delta.iter().any(|&x| x != 0.0)
+    }
+}
+
+/// A factor of the linear model at the estimate: the rows `[J₁ … Jₖ | b]` with `b = -(r + Jδ)`.
 #[derive(Clone, Debug)]
 pub(crate) struct Read {
     pub(crate) source: Source,
@@ -79,8 +103,7 @@ impl Neighborhood {
             return Err(RemovalError::LargeBlanket { variable: first, dim, largest });
         }
         let ids = [removed, blanket.as_slice()].concat();
-        let values = overlay.estimates_of(&ids)?;
-        let members = ids.into_iter().zip(values).map(|(id, value)| Member { id, value }).collect();
+        let members = overlay.members(&ids, options.linear_within)?;
         let mut neighborhood =
             Self { members, removed: removed.len(), factors: Vec::new(), rejected: Vec::new() };
         let places = Places::new(removed, &blanket);
@@ -160,7 +183,22 @@ impl Neighborhood {
         let norm: f64 = residual.iter().map(|r| r * r).sum();
         let weighted = rows.column(width).norm_squared();
         let weight = if norm.is_normal() { weighted / norm } else { 1.0 };
+        if members.iter().any(|&m| self.members[m].is_off()) {
+            self.step(&members, &mut rows);
+        }
+        let error = error + 0.5 * (rows.column(width).norm_squared() - weighted);
         Ok(Read { source, members, rows, error, weight })
+    }
+
+    /// From where the members are seen to the estimate: `b - Jδ`.
+    fn step(&self, members: &[usize], rows: &mut DMatrix<f64>) {
+        let (jacobian, mut b) = rows.columns_range_pair_mut(0..rows.ncols() - 1, rows.ncols() - 1);
+        let mut column = 0;
+        for &m in members {
+            let delta = &self.members[m].delta;
+            b.gemv(-1.0, &jacobian.columns(column, delta.len()), delta, 1.0);
+            column += delta.len();
+        }
     }
 }
 

@@ -133,6 +133,12 @@ pub struct Options {
     pub least_weight: f64,
     /// When a tree is not trusted.
     pub guard: Guard,
+    /// Where an estimate is no further than this (metres, radians, of each component) from its
+    /// linearization point, the removal takes the variable as it is in the linear model that the smoother
+    /// has solved: then nothing else moves, not even by a second-order term. Further away the factors are
+    /// linearized at the estimate. Default 0.01, which leaves 0.5 mm of a relative position 10 m away. See
+    /// [`Estimates::linearized`](crate::Estimates::linearized).
+    pub linear_within: f64,
     /// A blanket of more tangent dimensions than this is refused: planning is cubic in it. A
     /// beacon that is heard from all of a map has one. Default 1000.
     pub largest_blanket: usize,
@@ -150,6 +156,7 @@ impl Default for Options {
             intra_clique: true,
             least_weight: 0.01,
             guard: Guard::default(),
+            linear_within: 0.01,
             largest_blanket: 1000,
         }
     }

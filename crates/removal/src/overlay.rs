@@ -5,7 +5,10 @@ use std::sync::Arc;
 
 use evergraph_model::{Factor, FactorId, Graph, GraphError, Value, Values, VariableId};
 
+use nalgebra::DVector;
+
 use crate::error::RemovalError;
+use crate::neighborhood::Member;
 
 /// Where estimates come from: a [`Smoother`](evergraph_solver::Smoother), which computes those that
 /// are asked for, its [`Estimates`](evergraph_solver::Estimates) of everybody, [`Values`], or a
@@ -24,6 +27,27 @@ pub trait Estimates {
     fn estimates_of(&self, variables: &[VariableId]) -> Result<Vec<Value>, GraphError> {
         variables.iter().map(|&variable| self.estimate(variable)).collect()
     }
+
+    /// The estimates of some variables, in their order, as steps from the points that their factors are
+    /// linearized at; `None` where such points are not known, as by default. With them a removal near
+    /// the linearization points stays in the linear model that is solved
+    /// ([`Options::linear_within`](crate::Options::linear_within)).
+    ///
+    /// # Errors
+    /// [`GraphError`] when there is none for one of them.
+    fn linearized(&self, variables: &[VariableId]) -> Result<Option<Vec<Linearized>>, GraphError> {
+        let _ = variables;
+        Ok(None)
+    }
+}
+
+/// An estimate, as a step from the point that the variable's factors are linearized at.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Linearized {
+    /// The linearization point.
+    pub point: Value,
+    /// The step δ in the tangent at the point.
+    pub delta: Vec<f64>,
 }
 
 impl Estimates for Values {
@@ -110,23 +134,41 @@ impl<'a> Overlay<'a> {
         Ok(())
     }
 
-    /// The estimates, each checked.
-    pub(crate) fn estimates_of(
+    /// Where the removal sees each of some variables: at its linearization point, if that is known and
+    /// no component of the step from there to the estimate is beyond `linear_within`, else at the
+    /// estimate. All is checked.
+    pub(crate) fn members(
         &self,
         variables: &[VariableId],
-    ) -> Result<Vec<Value>, RemovalError> {
-        let values = self.estimates.estimates_of(variables)?;
-        if values.len() != variables.len() {
-            return Err(RemovalError::EstimateCount {
-                expected: variables.len(),
-                actual: values.len(),
-            });
-        }
-        variables
-            .iter()
-            .zip(values)
-            .map(|(&variable, value)| self.checked(variable, value))
-            .collect()
+        linear_within: f64,
+    ) -> Result<Vec<Member>, RemovalError> {
+        let count = |actual| match actual == variables.len() {
+            true => Ok(()),
+            false => Err(RemovalError::EstimateCount { expected: variables.len(), actual }),
+        };
+        let Some(found) = self.estimates.linearized(variables)? else {
+            let values = self.estimates.estimates_of(variables)?;
+            count(values.len())?;
+            let member = |(&id, value)| Ok(Member::at(id, self.checked(id, value)?));
+            return variables.iter().zip(values).map(member).collect();
+        };
+        count(found.len())?;
+        let member = |(&id, Linearized { point, delta }): (&VariableId, Linearized)| {
+            let value = self.checked(id, point)?;
+            if delta.len() != value.dim() {
+                let (actual, dim) = (value.kind().name(), delta.len());
+                return Err(RemovalError::EstimateMismatch { variable: id, actual, dim });
+            }
+            // Written so that NaN is beyond it.
+            if delta.iter().all(|x| x.abs() <= linear_within) {
+                return Ok(Member { id, value, delta: DVector::from_vec(delta) });
+            }
+            let mut estimate = value.storage().to_vec();
+            value.kind().retract(value.storage(), &delta, &mut estimate);
+            let estimate = self.graph.value(id.index(), &estimate);
+            Ok(Member::at(id, self.checked(id, estimate)?))
+        };
+        variables.iter().zip(found).map(member).collect()
     }
 
     fn checked(&self, variable: VariableId, value: Value) -> Result<Value, RemovalError> {

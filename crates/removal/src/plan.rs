@@ -4,7 +4,7 @@ use evergraph_model::{Change, FactorId, Graph, GraphError, VariableId};
 
 use crate::error::RemovalError;
 use crate::many;
-use crate::neighborhood::check_last_pose;
+use crate::neighborhood::{Member, check_last_pose};
 use crate::options::{Options, Rank, Recovery, Topology};
 use crate::order::Order;
 use crate::overlay::{Estimates, Overlay};
@@ -13,15 +13,16 @@ use crate::step::{Draft, Step};
 
 /// A removal that has been planned by reading only; [`change`](Self::change) does it.
 ///
-/// The change drops the nodes and the factors that are absorbed, adds the new ones, and moves the
-/// linearization points of the blankets to the estimate at which all of them were taken: at any
-/// other point they would agree with what they replace to first order only. It requires the
+/// The change drops the nodes and the factors that are absorbed, and adds the new ones; it moves no
+/// linearization point, since that is for the smoother to do, for all that moved together. It requires the
 /// versions of all variables that were read, so that it is refused as stale when one of them, or a
 /// factor on one of them, has changed since.
 #[derive(Clone, Debug)]
 pub struct Plan {
     change: Change,
     steps: Vec<Step>,
+    /// The blankets as they were seen.
+    seen: Vec<Member>,
 }
 
 impl Plan {
@@ -73,17 +74,21 @@ impl Plan {
     /// [`GraphError`] when a variable has no estimate any more.
     pub fn drift(&self, estimates: &dyn Estimates) -> Result<f64, GraphError> {
         let mut largest = 0.0_f64;
-        for (variable, planned) in self.change.moves() {
-            let now = estimates.estimate(*variable)?;
-            let mut local = vec![0.0; planned.dim()];
-            planned.kind().local(planned.storage(), now.storage(), &mut local);
+        for member in &self.seen {
+            let now = estimates.estimate(member.id)?;
+            let mut local = vec![0.0; member.value.dim()];
+            member.value.kind().local(&member.estimate(), now.storage(), &mut local);
             largest = local.iter().fold(largest, |m, x| m.max(x.abs()));
         }
         Ok(largest)
     }
 
     /// One change for all that the steps have left in the overlay.
-    pub(crate) fn new(overlay: &Overlay<'_>, steps: Vec<Step>) -> Result<Self, RemovalError> {
+    pub(crate) fn new(
+        overlay: &Overlay<'_>,
+        steps: Vec<Step>,
+        options: &Options,
+    ) -> Result<Self, RemovalError> {
         let graph = overlay.graph;
         let mut change = graph.change();
         let mut removed: Vec<VariableId> =
@@ -109,10 +114,8 @@ impl Plan {
         for factor in overlay.surviving() {
             change.add_shared_factor(std::sync::Arc::clone(factor));
         }
-        for (&variable, value) in kept.iter().zip(overlay.estimates_of(&kept)?) {
-            change.move_value(variable, value);
-        }
-        Ok(Self { change, steps })
+        let seen = overlay.members(&kept, options.linear_within)?;
+        Ok(Self { change, steps, seen })
     }
 }
 
@@ -235,7 +238,7 @@ impl<'a> Removal<'a> {
         };
         many::run(&mut work, nodes, order)?;
         let steps = work.steps;
-        Plan::new(&overlay, steps)
+        Plan::new(&overlay, steps, &self.options)
     }
 }
 
@@ -298,6 +301,9 @@ fn check(options: &Options) -> Result<(), RemovalError> {
     }
     if (options.topology, options.recovery) == (Topology::Dense, Recovery::Composition) {
         return Err(RemovalError::DenseComposition);
+    }
+    if options.linear_within.is_nan() || options.linear_within < 0.0 {
+        return refuse("linear_within", options.linear_within, "not negative");
     }
     let guard = &options.guard;
     for (option, value) in

@@ -4,11 +4,11 @@ use evergraph_model::{GraphError, Value, VariableId};
 use evergraph_solver::{Covariances, Smoother};
 use nalgebra::DMatrix;
 
-use crate::overlay::Estimates;
+use crate::overlay::{Estimates, Linearized};
 use crate::price::Covariance;
 
 /// Back-substituted for what is asked only: right for a few nodes of a large map. For many nodes
-/// [`Smoother::estimates`] or [`Smoother::kept_estimates`] cost less.
+/// [`Smoother::estimates`] or [`Smoother::kept_estimates`] cost less, but know no linearization points.
 impl Estimates for Smoother {
     fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
         self.graph().check_variable(variable)?;
@@ -17,6 +17,16 @@ impl Estimates for Smoother {
 
     fn estimates_of(&self, variables: &[VariableId]) -> Result<Vec<Value>, GraphError> {
         self.estimate_values(variables)
+    }
+
+    fn linearized(&self, variables: &[VariableId]) -> Result<Option<Vec<Linearized>>, GraphError> {
+        let deltas = self.deltas(variables)?;
+        let found = variables.iter().zip(deltas).map(|(&variable, delta)| {
+            let point = self.linearization_point(variable);
+            let point = point.map_err(|_| GraphError::UnknownVariable { variable })?;
+            Ok(Linearized { point, delta })
+        });
+        found.collect::<Result<_, _>>().map(Some)
     }
 }
 

@@ -301,6 +301,8 @@ impl Replacement {
             let known = if is_near { rotation } else { term.known().rotation() };
             new.known_rotation = new.known_rotation.max(known);
             new.largest_length = new.largest_length.max((&potential.rows * &offset).norm());
+            // As seen from the linearization points.
+            let offset = offset + potential.part(target, &target.delta);
             new.made.extend(recover::make(overlay.graph, target, potential, &offset, options)?);
         }
         new.rhs = &rows * &minimum;

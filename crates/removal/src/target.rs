@@ -17,7 +17,7 @@ use crate::qr::{RANK_TOLERANCE, back_substitute, column_norms, echelon};
 /// η_t = R_tᵀ d_t = η_k  - Λ_km Λ_mm⁻¹ η_m        η = -Σ Jᵀ r
 /// ```
 ///
-/// in the tangents of the blanket at the estimate.
+/// in the tangents of the blanket where its members are seen, from the estimate on: ξ = 0 there.
 #[derive(Clone, Debug)]
 pub(crate) struct Target {
     /// The blanket.
@@ -36,6 +36,8 @@ pub(crate) struct Target {
     pub(crate) explained: f64,
     /// Directions of the removed nodes that no factor determines.
     pub(crate) free: usize,
+    /// The steps from where the members are seen to the estimate.
+    pub(crate) delta: DVector<f64>,
 }
 
 /// A direction of which this share of a column's norm is known, or less, has its minimum up to
@@ -145,6 +147,9 @@ impl Target {
             held: [None; 2],
             explained,
             free,
+            delta: DVector::from_vec(
+                members[removed..].iter().flat_map(|m| m.delta.iter().copied()).collect(),
+            ),
         };
         for (slot, found) in target.held.iter_mut().zip(&held) {
             *slot = found.as_ref().map(|(place, _)| place - removed);

@@ -149,10 +149,12 @@ fn relative<G: LieGroup<N>, const N: usize>(count: usize, seed: u64) -> (Scene, 
             G::exp(&d)
         })
         .collect();
+    // Up or down the order of keys from the first neighbour, so that trees grow both ways.
+    let at = |k: usize| if k < 2 || seed.is_multiple_of(2) { k } else { count + 2 - k };
     let scene = Scene::of(|change| {
         let keys: Vec<_> = values.iter().map(|x| change.add_variable(x)).collect();
         for j in 1..=count {
-            for i in [0, j / 2] {
+            for (i, j) in [(0, at(j)), (at(j / 2), at(j))] {
                 let z = values[i].between(&values[j]).compose(&G::exp(&draw.vector(0.02)));
                 let edge = Between::<G, N>::new(keys[i], keys[j], z, noise(&mut draw));
                 change.add_factor(edge.unwrap());

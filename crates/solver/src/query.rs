@@ -67,9 +67,33 @@ impl Smoother {
                 |index| self.graph.value(index, &self.points[self.graph.value_range(index)]);
             return Ok(variables.iter().map(|id| point(id.index())).collect());
         }
-        let indices: Vec<u32> = variables.iter().map(|id| id.index() as u32).collect();
-        let deltas = solve::paths(self.scratch.instructions, &self.graph, &self.tree, &indices);
+        let deltas = self.solved(variables);
         Ok(variables.iter().zip(deltas).map(|(id, delta)| self.moved(id.index(), &delta)).collect())
+    }
+
+    /// The steps δ, each in the tangent of its variable, that lead from
+    /// [linearization points](Self::linearization_point) to estimates, in the order given. Zero right
+    /// after [`optimize`](Self::optimize).
+    ///
+    /// # Errors
+    /// [`GraphError`] for an id that is stale or foreign.
+    pub fn deltas(&self, variables: &[VariableId]) -> Result<Vec<Vec<f64>>, GraphError> {
+        for &variable in variables {
+            self.graph.check_variable(variable)?;
+        }
+        if self.at_optimum {
+            return Ok(variables
+                .iter()
+                .map(|id| vec![0.0; self.graph.dim_at(id.index())])
+                .collect());
+        }
+        Ok(self.solved(variables))
+    }
+
+    /// δ of the present factorization.
+    fn solved(&self, variables: &[VariableId]) -> Vec<Vec<f64>> {
+        let indices: Vec<u32> = variables.iter().map(|id| id.index() as u32).collect();
+        solve::paths(self.scratch.instructions, &self.graph, &self.tree, &indices)
     }
 
     /// The linearization point of a variable, moved by δ.

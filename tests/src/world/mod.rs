@@ -4,6 +4,7 @@ mod failures;
 mod makers;
 mod operations;
 mod removals;
+mod seen;
 mod variables;
 
 pub use makers::{MAKERS, Maker};

@@ -2,15 +2,14 @@
 //! refused.
 
 use evergraph::factors::RootShift;
-use evergraph::model::{Graph, GraphError, Key, LieGroup, Pose2, Value, Values, VariableId};
+use evergraph::model::{GraphError, Key, LieGroup, Pose2, Value, VariableId};
 use evergraph::removal::{
-    Guard, Offset, Options, Order, Plan, Recovery, Removal, RemovalError, Step, Topology,
+    Guard, Offset, Options, Order, Plan, Recovery, Removal, RemovalError, Topology,
 };
 use evergraph::{Settings, Smoother, SmootherError};
-use nalgebra::{DMatrix, DVector};
 
+use super::seen::{At, Seen, one_by_one};
 use super::{Variable, World};
-use crate::stack;
 
 /// What removals have done in a world, so that a test can tell that it tested something.
 #[derive(Clone, Copy, Debug, Default)]
@@ -124,7 +123,7 @@ impl World {
                 return;
             }
         };
-        let (graph, estimates) = (self.smoother.graph().clone(), self.smoother.estimates());
+        let (graph, seen) = (self.smoother.graph().clone(), Seen::of(&self.smoother));
         let weakest = self.smoother.smallest_pivot_ratio();
         match self.smoother.apply(plan.change().clone()) {
             Ok(_) => self.removals.nodes += nodes.len(),
@@ -145,7 +144,7 @@ impl World {
         }
         if keeps(&options) {
             let what = format!("{options:?} {order:?}: {:?}", plan.steps());
-            let (before, after) = (At(&graph, &estimates), At(self.smoother.graph(), &estimates));
+            let (before, after) = (At(&graph, &seen), At(self.smoother.graph(), &seen));
             if options.topology == Topology::Dense {
                 before.check(&nodes, after, true, &what);
             } else {
@@ -263,86 +262,5 @@ impl World {
         };
         assert!(expected, "failure {}", how % 7);
         self.removals.refused += 1;
-    }
-}
-
-/// A graph at some estimates.
-#[derive(Clone, Copy)]
-struct At<'a>(&'a Graph, &'a Values);
-
-/// Trees are put in the place of nodes one after the other, as if each step of the plan had been
-/// applied before the next was planned; each keeps the gradient.
-fn one_by_one(before: At<'_>, steps: &[Step], options: Options, after: At<'_>, what: &str) {
-    let estimates = before.1;
-    let mut graph = before.0.clone();
-    for step in steps {
-        let node = step.removed[0];
-        let mut next = graph.clone();
-        let (change, exact) = if step.blanket.is_empty() {
-            // Nothing is known any more between it and the rest.
-            let mut change = graph.change();
-            change.drop_variable_and_factors(&graph, node).expect("the node is there");
-            (change, true)
-        } else {
-            let plan = Removal::new(&graph, estimates).with_options(options).plan(node);
-            let plan = plan.unwrap_or_else(|error| panic!("{what}: {error}"));
-            let exact = plan.steps()[0].topology == Topology::Dense;
-            (plan.into_change(), exact)
-        };
-        let staged = next.stage(&change).unwrap_or_else(|error| panic!("{what}: {error}"));
-        next.commit(staged);
-        At(&graph, estimates).check(&step.removed, At(&next, estimates), exact, what);
-        graph = next;
-    }
-    At(&graph, estimates).check(&[], after, true, what);
-}
-
-impl At<'_> {
-    fn stack(self, order: &[VariableId]) -> (DMatrix<f64>, DVector<f64>) {
-        let Self(graph, estimates) = self;
-        stack(graph, order, |id| estimates.value(id).expect("it was there").to_value())
-    }
-
-    /// Holds a graph without the variables `gone` against this one: the gradient of the others,
-    /// and if `exact` their information, are those of this graph with `gone` eliminated, `J_k` and
-    /// `r` less their parts in the range of `J_m`.
-    fn check(self, gone: &[VariableId], reduced: At<'_>, exact: bool, what: &str) {
-        let kept: Vec<VariableId> = self.0.variables().filter(|id| !gone.contains(id)).collect();
-        let order: Vec<VariableId> = gone.iter().chain(&kept).copied().collect();
-        let width: usize = gone.iter().map(|id| self.0.dim_at(id.index())).sum();
-        let (jacobian, mut left) = self.stack(&order);
-        let mut rest = jacobian.columns(width, jacobian.ncols() - width).into_owned();
-        let scale: Vec<f64> = rest.column_iter().map(|column| column.norm()).collect();
-        let floor = 1e-3 * scale.iter().copied().fold(0.0, f64::max);
-        let scale: Vec<f64> = scale.into_iter().map(|s| s.max(floor)).collect();
-        let size = left.norm().max(1.0);
-        if width > 0 {
-            let mut of_nodes = jacobian.columns(0, width).into_owned();
-            of_nodes.column_iter_mut().for_each(|mut column| {
-                column.normalize_mut();
-            });
-            let q = of_nodes.qr().q();
-            // Twice, so that nothing is left in the range.
-            for _ in 0..2 {
-                rest -= &q * q.tr_mul(&rest);
-                left -= &q * q.tr_mul(&left);
-            }
-        }
-        let (new, new_residual) = reduced.stack(&kept);
-        let (expected, found) = (rest.tr_mul(&left), new.tr_mul(&new_residual));
-        for (i, s) in scale.iter().enumerate() {
-            let off = (expected[i] - found[i]).abs();
-            // To the root of the precision where a direction is all but free.
-            assert!(off <= 3e-8 * s * size, "{what}: gradient {i} is off by {off:e}");
-        }
-        if exact {
-            let (expected, found) = (rest.tr_mul(&rest), new.tr_mul(&new));
-            for (i, s) in scale.iter().enumerate() {
-                for (j, t) in scale.iter().enumerate() {
-                    let off = (expected[(i, j)] - found[(i, j)]).abs();
-                    assert!(off <= 1e-9 * s * t, "{what}: information ({i}, {j}) off by {off:e}");
-                }
-            }
-        }
     }
 }
