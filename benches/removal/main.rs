@@ -1,9 +1,11 @@
 //! What removal does to public graphs: `sweep` removes many nodes from each in many ways and looks for
-//! errors; `cut` removes in the middle of a replay and goes on, and compares recoveries. Writes Markdown.
+//! errors; `cut` removes in the middle of a replay and goes on, and compares recoveries; `live` removes all
+//! along a replay. Writes Markdown.
 #![forbid(unsafe_code)]
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "tables are what it is for")]
 
 mod cut;
+mod live;
 mod sweep;
 
 use std::path::Path;
@@ -16,7 +18,8 @@ use evergraph::{Replayer, ReplayerError};
 
 const USAGE: &str = "\
 usage: cargo bench -p evergraph-benches --bench removal -- sweep [--quick] FILE...
-       cargo bench -p evergraph-benches --bench removal -- cut FILE:POSES...";
+       cargo bench -p evergraph-benches --bench removal -- cut FILE:POSES...
+       cargo bench -p evergraph-benches --bench removal -- live FILE...";
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
@@ -30,6 +33,7 @@ fn main() -> ExitCode {
         ["sweep", "--quick", files @ ..] if !files.is_empty() => sweep::run(files, true),
         ["sweep", files @ ..] if !files.is_empty() => sweep::run(files, false),
         ["cut", files @ ..] if !files.is_empty() => cut::run(files),
+        ["live", files @ ..] if !files.is_empty() => live::run(files),
         _ => {
             eprintln!("{USAGE}");
             return ExitCode::from(2);
@@ -68,10 +72,7 @@ fn replayer(document: &Document) -> Result<Replayer, ReplayerError> {
 fn optimum(document: &Document) -> Result<(Replayer, bool), Failure> {
     let mut replayer = replayer(document)?;
     while replayer.step()?.is_some() {}
-    let mut batch = replayer.smoother_mut().optimize(&to_the_end())?;
-    if batch.status != Status::Converged {
-        batch = replayer.smoother_mut().optimize(&to_the_end())?;
-    }
+    let batch = replayer.smoother_mut().optimize(&to_the_end())?;
     Ok((replayer, batch.status == Status::Converged))
 }
 
@@ -82,5 +83,5 @@ fn gauge(replayer: &Replayer) -> Vec<FactorId> {
 
 /// To where rounding ends.
 fn to_the_end() -> BatchSettings {
-    BatchSettings { relative_decrease: 0.0, ..BatchSettings::default() }
+    BatchSettings { relative_decrease: 0.0, max_iterations: 1000, ..BatchSettings::default() }
 }

@@ -123,9 +123,10 @@ pub(crate) fn incomparable(replayer: &Replayer, error: DivergenceError) -> Error
 }
 
 /// To where rounding ends, so that what moved is told from where an optimization stopped: the usual
-/// 1e-11 of the error can be 1e-4 m of something that is known to a metre.
+/// 1e-11 of the error can be 1e-4 m of something that is known to a metre. False loop closures can take
+/// hundreds of steps.
 pub(crate) fn to_the_end() -> BatchSettings {
-    BatchSettings { relative_decrease: 0.0, ..BatchSettings::default() }
+    BatchSettings { relative_decrease: 0.0, max_iterations: 1000, ..BatchSettings::default() }
 }
 
 /// How an optimization ended, in words.
@@ -142,7 +143,8 @@ pub(crate) fn warn_of_ends(ends: &[(&str, &BatchReport)], output: Output) {
         if batch.status != BatchStatus::Converged {
             output.warn(&format!(
                 "the {graph} graph has {}; what is said of the mean and of shifts is of where it \
-                 stopped. Start closer: `evergraph replay FILE --final-batch --output MAP.g2o` first",
+                 stopped. Start closer: `evergraph replay FILE --final-batch --output MAP.g2o` first, or \
+                 `evergraph optimize FILE --init chordal --output MAP.g2o`",
                 ended(batch)
             ));
         }

@@ -129,7 +129,8 @@ fn constants_are_of_the_estimate() {
     smoother.apply(change).unwrap();
     for options in [Options::default(), Options::dense()] {
         let mut reduced = smoother.clone();
-        let plan = Removal::new(reduced.graph(), &reduced).with_options(options).plan(keys[13].id());
+        let plan =
+            Removal::new(reduced.graph(), &reduced).with_options(options).plan(keys[13].id());
         let plan = plan.unwrap();
         let constant = plan.constant();
         reduced.apply(plan.into_change()).unwrap();

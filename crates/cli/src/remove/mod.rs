@@ -42,16 +42,26 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let (nodes, first) = start(&mut replayer, arguments)
         .map_err(|error| error.with_gauge(arguments.solving.prior.0, &document))?;
 
+    // Whatever fails from here on may be due to that.
+    first.iter().for_each(|first| warn_of_ends(&[("full", first)], output));
+
     let mut full = replayer.smoother().clone();
     let progress = Progress::new(nodes.count, output.is_interactive());
     let thinning = thin(&mut replayer, &nodes, arguments, progress)?;
-    let explain = |source| unsolvable(&replayer, source);
     let first = match first {
         Some(first) => first,
-        None => full.optimize(&to_the_end()).map_err(explain)?,
+        None => {
+            let first = full.optimize(&to_the_end()).map_err(|e| unsolvable(&replayer, e))?;
+            warn_of_ends(&[("full", &first)], output);
+            first
+        }
     };
     let mut reduced = replayer.smoother().clone();
-    let batch = reduced.optimize(&to_the_end()).map_err(explain)?;
+    let batch = reduced.optimize(&to_the_end()).map_err(|source| Error::Unsolvable {
+        file: replayer.name().into(),
+        message: format!("the reduced graph cannot be solved: {}", replayer.explain(&source)),
+        source: Box::new(source),
+    })?;
     // Before the long work of the metrics.
     if let Some(path) = &arguments.output {
         let name = path.display().to_string();
@@ -88,7 +98,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     report.insert("total_s".into(), json!(begun.elapsed().as_secs_f64()));
     report::save(common.report.as_deref(), &report)?;
     warn_of_landmarks(&replayer, output);
-    warn_of_ends(&[("full", &first), ("reduced", &batch)], output);
+    warn_of_ends(&[("reduced", &batch)], output);
 
     let mut rows = Rows::new("data set", &dataset);
     told.show(&mut rows);
