@@ -7,10 +7,10 @@ use evergraph::evaluate::{Divergence, Solved};
 use evergraph::formats::{Document, Record};
 use evergraph::model::VariableId;
 use evergraph::removal::{Offset, Options, Order, Recovery, Topology, shuffled};
-use evergraph::{Replayer, Rules, Thinning};
+use evergraph::{Replayer, Rules, Thinning, optimize_to_the_end};
 use rayon::prelude::*;
 
-use crate::{Failure, gauge, optimum, read, replayer, settings, short, to_the_end};
+use crate::{Failure, gauge, optimum, read, replayer, settings, short};
 
 const SEED: u64 = 1;
 
@@ -91,7 +91,7 @@ impl Cut {
     fn row(&self, full: &Replayer, name: &str, options: &Options) -> Result<String, Failure> {
         let begun = Instant::now();
         let mut reduced = up_to(&self.document, self.poses)?;
-        reduced.smoother_mut().optimize(&to_the_end())?;
+        optimize_to_the_end(reduced.smoother_mut())?;
         let variable: HashMap<u64, VariableId> = reduced.replay().ids().collect();
         let nodes: Vec<VariableId> = self.nodes.iter().map(|id| variable[id]).collect();
         let rules = Rules {
@@ -107,7 +107,7 @@ impl Cut {
             return Ok(format!("{name} | {error} |  |  | "));
         }
         while reduced.step()?.is_some() {}
-        reduced.smoother_mut().optimize(&to_the_end())?;
+        optimize_to_the_end(reduced.smoother_mut())?;
         let (was, is) = (full.smoother().estimates(), reduced.smoother().estimates());
         let everyone: HashMap<u64, VariableId> = full.replay().ids().collect();
         let pairs: Vec<(VariableId, VariableId)> = reduced

@@ -3,14 +3,14 @@
 use std::collections::{BTreeSet, HashMap};
 use std::time::Instant;
 
-use evergraph::Replayer;
 use evergraph::evaluate::{Divergence, Solved};
 use evergraph::formats::{Document, Record};
 use evergraph::model::VariableId;
 use evergraph::removal::{Removal, shuffled};
+use evergraph::{Replayer, optimize_to_the_end};
 use rayon::prelude::*;
 
-use crate::{Failure, gauge, optimum, read, replayer, settings, short, to_the_end};
+use crate::{Failure, gauge, optimum, read, replayer, settings, short};
 
 const SEED: u64 = 1;
 /// Poses between the newest and the one that goes.
@@ -45,7 +45,7 @@ fn row(file: &str) -> Result<String, Failure> {
     let (removed, constant) = map(&mut reduced, &poses, &gone)?;
     eprintln!("{}: {:.1} s", short(file), begun.elapsed().as_secs_f64());
     let live = reduced.smoother().error() + constant;
-    let optimized = reduced.smoother_mut().optimize(&to_the_end())?.error + constant;
+    let optimized = optimize_to_the_end(reduced.smoother_mut())?.error + constant;
 
     let (was, is) = (full.smoother().estimates(), reduced.smoother().estimates());
     let everyone: HashMap<u64, VariableId> = full.replay().ids().collect();

@@ -13,8 +13,8 @@ use std::process::ExitCode;
 
 use evergraph::formats::{Document, ReadOptions, ReplayOptions};
 use evergraph::model::FactorId;
-use evergraph::solver::{BatchSettings, Settings, Status};
-use evergraph::{Replayer, ReplayerError};
+use evergraph::solver::{Settings, Status};
+use evergraph::{Replayer, ReplayerError, optimize_to_the_end};
 
 const USAGE: &str = "\
 usage: cargo bench -p evergraph-benches --bench removal -- sweep [--quick] FILE...
@@ -72,16 +72,11 @@ fn replayer(document: &Document) -> Result<Replayer, ReplayerError> {
 fn optimum(document: &Document) -> Result<(Replayer, bool), Failure> {
     let mut replayer = replayer(document)?;
     while replayer.step()?.is_some() {}
-    let batch = replayer.smoother_mut().optimize(&to_the_end())?;
+    let batch = optimize_to_the_end(replayer.smoother_mut())?;
     Ok((replayer, batch.status == Status::Converged))
 }
 
 /// What holds the map in its place is no measurement: it stays.
 fn gauge(replayer: &Replayer) -> Vec<FactorId> {
     replayer.replay().gauge_priors().iter().map(|prior| prior.factor).collect()
-}
-
-/// To where rounding ends.
-fn to_the_end() -> BatchSettings {
-    BatchSettings { relative_decrease: 0.0, max_iterations: 1000, ..BatchSettings::default() }
 }

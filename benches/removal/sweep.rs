@@ -6,10 +6,10 @@ use std::time::Instant;
 use evergraph::formats::spell_id;
 use evergraph::model::{FactorId, VariableId};
 use evergraph::removal::{Options, Order, RemovalError, Topology, shuffled};
-use evergraph::{Needed, Rules, Smoother, Thinning};
+use evergraph::{Needed, Rules, Smoother, Thinning, optimize_to_the_end};
 use rayon::prelude::*;
 
-use crate::{Failure, gauge, optimum, read, short, to_the_end};
+use crate::{Failure, gauge, optimum, read, short};
 
 /// One way to remove nodes.
 #[derive(Clone, Copy)]
@@ -152,7 +152,7 @@ fn try_one(
             outcome.fallbacks = thinning.removed.iter().filter(|it| it.fallback.is_some()).count();
             // A direction that came free would make this singular, and a lost gradient would move it.
             let before = smoother.error();
-            match smoother.optimize(&to_the_end()) {
+            match optimize_to_the_end(&mut smoother) {
                 Err(error) => outcome.failure = failed(error.to_string()),
                 Ok(_) => outcome.fell = (before - smoother.error()).max(0.0) / (1.0 + before),
             }

@@ -5,10 +5,9 @@ use std::collections::BTreeMap;
 use evergraph::factors::Prior;
 use evergraph::formats::{GaugePrior, spell_id};
 use evergraph::model::{Change, FactorId, Graph, Noise, Pose2, Pose3, Value, VariableId};
-use evergraph::{Overview, Replayer};
+use evergraph::{Overview, Replayer, optimize_to_the_end};
 
 use crate::error::Error;
-use crate::reduction::to_the_end;
 use crate::replay::unsolvable;
 
 /// The gauge priors of a component of the full graph, in both graphs.
@@ -71,8 +70,7 @@ pub(crate) fn anchor_alike(
     }
     if moves {
         let applied = full.smoother_mut().apply(change).map(drop);
-        let optimized =
-            applied.and_then(|()| full.smoother_mut().optimize(&to_the_end()).map(drop));
+        let optimized = applied.and_then(|()| optimize_to_the_end(full.smoother_mut()).map(drop));
         optimized.map_err(|source| unsolvable(full, source))?;
     }
     Ok(factors)

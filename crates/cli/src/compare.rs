@@ -9,7 +9,7 @@ use evergraph::evaluate::{Divergence, Solved};
 use evergraph::formats::{Document, ReplayOptions, spell_id};
 use evergraph::model::{Value, VariableId};
 use evergraph::solver::{BatchReport, Relinearization};
-use evergraph::{Overview, Replayer};
+use evergraph::{Overview, Replayer, optimize_to_the_end};
 use serde_json::{Map, json};
 
 use crate::anchor::anchor_alike;
@@ -17,9 +17,7 @@ use crate::error::Error;
 use crate::files;
 use crate::options::{Common, Reading, Solving, StartFrom};
 use crate::output::Output;
-use crate::reduction::{
-    self, Reduction, Size, gauge_factors, incomparable, to_the_end, warn_of_ends,
-};
+use crate::reduction::{self, Reduction, Size, gauge_factors, incomparable, warn_of_ends};
 use crate::replay::{unsolvable, warn_of_landmarks};
 use crate::report::{self, SCHEMA};
 use crate::table::{Rows, milliseconds};
@@ -134,7 +132,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
 /// Everything at once, to the optimum.
 fn solve(replayer: &mut Replayer) -> Result<BatchReport, Error> {
     replayer.everything()?;
-    let batch = replayer.smoother_mut().optimize(&to_the_end());
+    let batch = optimize_to_the_end(replayer.smoother_mut());
     batch.map_err(|source| unsolvable(replayer, source))
 }
 

@@ -2,7 +2,7 @@
 
 use evergraph::evaluate::{Divergence, DivergenceError, information_nonzeros};
 use evergraph::model::{FactorId, VariableId};
-use evergraph::solver::{BatchReport, BatchSettings, Status as BatchStatus};
+use evergraph::solver::{BatchReport, Status as BatchStatus};
 use evergraph::{Replayer, Smoother};
 use serde_json::{Map, Value, json};
 
@@ -120,13 +120,6 @@ pub(crate) fn incomparable(replayer: &Replayer, error: DivergenceError) -> Error
         other => other.to_string(),
     };
     Error::Incomparable { file, message, source: Box::new(error) }
-}
-
-/// To where rounding ends, so that what moved is told from where an optimization stopped: the usual
-/// 1e-11 of the error can be 1e-4 m of something that is known to a metre. False loop closures can take
-/// hundreds of steps.
-pub(crate) fn to_the_end() -> BatchSettings {
-    BatchSettings { relative_decrease: 0.0, max_iterations: 1000, ..BatchSettings::default() }
 }
 
 /// How an optimization ended, in words.

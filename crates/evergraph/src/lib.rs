@@ -70,6 +70,7 @@
 mod audit;
 mod chordal;
 mod chordal_linear;
+mod optimum;
 mod overview;
 mod replayer;
 mod thinning;
@@ -87,6 +88,7 @@ pub use chordal::chordal;
 pub use evergraph_evaluate::{Objective, Start, conventions};
 pub use evergraph_model::{Change, Factor, Graph, Values};
 pub use evergraph_solver::{Phase, Profile, Report, Settings, Smoother, SmootherError};
+pub use optimum::optimize_to_the_end;
 pub use overview::{Component, Overview};
 pub use replayer::{Replayed, Replayer, ReplayerError};
 pub use thinning::{Needed, Rules, Thinned, Thinning, ThinningError};

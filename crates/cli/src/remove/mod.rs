@@ -10,7 +10,7 @@ pub(crate) use arguments::Arguments;
 use evergraph::evaluate::{Divergence, Solved};
 use evergraph::formats::WriteOptions;
 use evergraph::solver::BatchReport;
-use evergraph::{Replayer, Rules, Thinning};
+use evergraph::{Replayer, Rules, Thinning, optimize_to_the_end};
 use serde_json::{Map, json};
 
 use self::document::reduced_document;
@@ -22,9 +22,7 @@ use crate::nodes::Candidates;
 use crate::options::StartFrom;
 use crate::output::Output;
 use crate::progress::Progress;
-use crate::reduction::{
-    self, Reduction, Size, gauge_factors, incomparable, to_the_end, warn_of_ends,
-};
+use crate::reduction::{self, Reduction, Size, gauge_factors, incomparable, warn_of_ends};
 use crate::replay::{unsolvable, warn_of_landmarks};
 use crate::report::{self, SCHEMA};
 use crate::table::{Rows, milliseconds};
@@ -51,13 +49,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let first = match first {
         Some(first) => first,
         None => {
-            let first = full.optimize(&to_the_end()).map_err(|e| unsolvable(&replayer, e))?;
+            let first = optimize_to_the_end(&mut full).map_err(|e| unsolvable(&replayer, e))?;
             warn_of_ends(&[("full", &first)], output);
             first
         }
     };
     let mut reduced = replayer.smoother().clone();
-    let batch = reduced.optimize(&to_the_end()).map_err(|source| Error::Unsolvable {
+    let batch = optimize_to_the_end(&mut reduced).map_err(|source| Error::Unsolvable {
         file: replayer.name().into(),
         message: format!("the reduced graph cannot be solved: {}", replayer.explain(&source)),
         source: Box::new(source),
@@ -119,7 +117,7 @@ fn start(
     if arguments.no_optimize {
         return Ok((nodes, None));
     }
-    let batch = replayer.smoother_mut().optimize(&to_the_end());
+    let batch = optimize_to_the_end(replayer.smoother_mut());
     Ok((nodes, Some(batch.map_err(|source| unsolvable(replayer, source))?)))
 }
 
