@@ -3,8 +3,8 @@
 
 usage: python benches/removal.py [--evergraph PROGRAM] [--print] [TABLE...]
 
-TABLEs are `loss`, `isam`, `exact`, `time` and `edges` here, and `cut` and `sweep` of the benchmark in Rust
-(benches/removal); all but `sweep` by default, which takes an hour or more of two cores. Finds the data sets by
+TABLEs are `loss`, `isam`, `exact`, `time` and `edges` here, and `cut`, `live` and `sweep` of the benchmark
+in Rust (benches/removal); all but `sweep` by default, which takes an hour or more of two cores. Finds the data sets by
 EVERGRAPH_DATA, and builds Evergraph unless a PROGRAM is named.
 """
 import argparse
@@ -27,23 +27,23 @@ CUTS = {
     "duderstadt.g2o": 425,
 }
 SEEDS = range(1, 6)
+LIVE = GRAPHS + ["sphere2500.txt", "city10000.txt", "victoriaPark.txt"]
 # All 46 variants of the sweep.
 SWEPT = [
-    "MIT.g2o", "ring.g2o", "ringCity.g2o", "kitti_06.g2o", "kitti_07.g2o", "intel.g2o", "intel_943.g2o",
-    "flat_duderstadt.g2o", "duderstadt.g2o", "tinyGrid3D.g2o", "sphere400.txt", "example.graph",
-    "input_INTEL_g2o.g2o", "pose2example.txt", "w100.graph", "killian-small.toro",
-    "blocks_world_4robots_fullGraph.g2o", "robot_a.g2o", "robot_b.g2o", "toyExample.g2o", "pose3example.txt",
-    "noisyToyGraph.txt", "optimizedNoisyToyGraph.txt", "orientationsNoisyToyGraph.txt",
-    "example_with_vertices.g2o", "kitti_00.g2o", MANHATTAN, "input_M3500_g2o.g2o", "manhattan.g2o",
+    "tinyGrid3D.g2o", "pose2example.txt", "toyExample.g2o", "pose3example.txt", "noisyToyGraph.txt",
+    "optimizedNoisyToyGraph.txt", "orientationsNoisyToyGraph.txt", "example_with_vertices.g2o", "example.graph",
+    "w100.graph", "robot_a.g2o", "robot_b.g2o", "blocks_world_4robots_fullGraph.g2o", "flat_duderstadt.g2o",
+    "duderstadt.g2o", "MIT.g2o", "ring.g2o", "ring_groundtruth.g2o", "ringCity.g2o", "ringCity_groundtruth.g2o",
+    "kitti_00.g2o", "kitti_06.g2o", "kitti_07.g2o", "intel.g2o", "intel_943.g2o", "input_INTEL_g2o.g2o",
+    "killian-small.toro", "killian.g2o", MANHATTAN, "input_M3500_g2o.g2o", "input_M3500b_g2o.g2o", "manhattan.g2o",
+    "Bovisa04_GT_GPS.g2o", "Bovisa04_odometry_bow_tr.g2o", "Bicocca25b_GT_GPS.g2o", "B25b_0.500.g2o",
+    "B25b_0.000.g2o", "city10000.txt", "smallGrid3D.g2o", "sphere400.txt", "sphere2500.txt", "sphere2500.g2o",
+    "sphere2500_groundtruth.txt", "sphere_mednoise.graph", "torus2000Points.txt", "parking-garage.g2o",
+    "world-2000-full.g2o", "world-2000-noassoc.g2o", "victoriaPark.txt", "victoriaPark-full.g2o", "mrclam5a.pyfg",
+    "single_drone.pyfg",
 ]
-# Large ones: twelve variants.
-SWEPT_QUICKLY = [
-    "world-2000-full.g2o", "victoriaPark.txt", "mrclam5a.pyfg", "torus2000Points.txt", "single_drone.pyfg",
-    "plaza1.pyfg", "smallGrid3D.g2o", "killian.g2o", "B25b_0.500.g2o", "B25b_0.000.g2o", "Bovisa04_GT_GPS.g2o",
-    "parking-garage.g2o", "sphere2500.g2o", "sphere2500.txt", "city10000.txt", "Bicocca25b_GT_GPS.g2o",
-    "Bovisa04_odometry_bow_tr.g2o", "input_M3500b_g2o.g2o", "sphere_mednoise.graph", "world-2000-noassoc.g2o",
-    "sphere2500.g2o.outliers",
-]
+# Twelve variants: blankets of hundreds of poses take seconds each.
+SWEPT_QUICKLY = ["plaza1.pyfg", "sphere2500.g2o.outliers"]
 # iSAM 1.7's own figures on manhattanOlson3500, from its own build.
 ISAM = {"random 50 %": "0.022 to 0.024", "random 90 %": "0.078 to 0.084", "every second": "0.034"}
 
@@ -172,6 +172,11 @@ def cut(_, table):
         table.line(line)
 
 
+def live(_, table):
+    for line in bench("live", [file_of(name) for name in LIVE]):
+        table.line(line)
+
+
 def sweep(_, table):
     for number, files in enumerate([["--quick", *harness.data_files(SWEPT_QUICKLY)], harness.data_files(SWEPT)]):
         for at, line in enumerate(bench("sweep", files)):
@@ -180,7 +185,7 @@ def sweep(_, table):
                 table.line(line)
 
 
-TABLES = {"loss": loss, "isam": isam, "exact": exact, "time": time, "edges": edges, "cut": cut, "sweep": sweep}
+TABLES = {"loss": loss, "isam": isam, "exact": exact, "time": time, "edges": edges, "cut": cut, "live": live, "sweep": sweep}
 
 
 def main():

@@ -1,10 +1,12 @@
 //! The three batch methods, and honest answers when they do not converge.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use evergraph::formats::ReplayOptions;
+use evergraph::factors::autodiff::{AutoDiff, Number, Parameters, Residual, Vector2};
+use evergraph::formats::{Initial, ReplayOptions};
+use evergraph::optimize_to_the_end;
 use evergraph::prelude::*;
 use evergraph::solver::Reason;
-use evergraph_tests::{References, data_dir, read};
+use evergraph_tests::{References, data_dir, data_file, read};
 
 /// The whole graph at its odometry, in one change.
 fn loaded(document: &Document, elimination: Elimination) -> Replayer {
@@ -91,4 +93,60 @@ fn measurements_that_agree_exactly_converge() {
         assert_eq!(report.status, Status::Converged, "{method:?}: {report:?}");
         assert!(report.iterations < 20 && report.error < 1e-9, "{method:?}: {report:?}");
     }
+}
+
+/// `½ (x + 1)² + ½ (λx² + x - 1)²`, least at 0: the second residual bends so much that a full step goes
+/// from x to `λx`. Far from nothing else measures, so that the error is large.
+#[derive(Debug)]
+struct Bent(f64);
+
+impl Residual<3> for Bent {
+    type Variables = (Parameters<2>,);
+    const NAME: &'static str = "Bent";
+
+    fn evaluate<T: Number>(&self, (x,): (Vector2<T>,)) -> [T; 3] {
+        [x[0] + 1.0, x[0] * x[0] * self.0 + x[0] - 1.0, x[1] * 0.0 + 1e4]
+    }
+}
+
+/// Full steps overshoot, and damped ones end in rounding: that is the end all the same.
+#[test]
+fn where_full_steps_overshoot_rounding_ends_it() {
+    for bend in [-1.5, -4.0] {
+        for method in [Method::LevenbergMarquardt, Method::Dogleg] {
+            let mut smoother = Smoother::new(Settings::default()).unwrap();
+            let mut change = smoother.change();
+            let x = change.add_variable(&VectorN::new([0.3, 0.0]));
+            let noise = Noise::isotropic(3, 1.0).unwrap();
+            change.add_factor(AutoDiff::new((x,), Bent(bend), noise).unwrap());
+            let still = Noise::isotropic(2, 1e3).unwrap();
+            change.add_factor(Prior::new(x, VectorN::new([0.0, 0.0]), still).unwrap());
+            smoother.apply(change).unwrap();
+            let settings = BatchSettings { method, relative_decrease: 0.0, max_iterations: 300 };
+            let report = smoother.optimize(&settings).unwrap();
+            assert_eq!(report.status, Status::Converged, "{bend} {method:?} {report:?}");
+            let x = smoother.estimate(x).unwrap();
+            assert!(x.vector()[0].abs() < 1e-3, "{bend} {method:?} {x:?}");
+        }
+    }
+}
+
+/// Between false loop closures damped steps crawl: 427 of them where dogleg takes a hundred.
+#[test]
+fn false_loop_closures_are_brought_to_the_end() {
+    let test = "false_loop_closures_are_brought_to_the_end";
+    let Some(path) = data_file(test, "pose2d/Bovisa04_odometry_bow_tr.g2o") else { return };
+    let options = ReplayOptions { initial: Initial::FromFile, ..ReplayOptions::default() };
+    let settings = Settings { relinearization: Relinearization::NEVER, ..Settings::default() };
+    let mut replayer = Replayer::new(&read(&path), &options, settings).unwrap();
+    replayer.everything().unwrap();
+    let smoother = replayer.smoother_mut();
+    let report = optimize_to_the_end(smoother).unwrap();
+    assert_eq!(report.status, Status::Converged, "{report:?}");
+    let same = |a: f64, b: f64| (a - b).abs() < 1e-9 * b;
+    assert!(report.iterations > 100 && same(report.initial_error, 697_090.349_609), "{report:?}");
+    assert!(report.error < 17_500.0 && same(report.error, smoother.error()), "{report:?}");
+    // It is where another one ends at once.
+    let again = optimize_to_the_end(smoother).unwrap();
+    assert!(again.iterations < 10 && report.error - again.error < 1e-6, "{again:?}");
 }

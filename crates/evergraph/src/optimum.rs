@@ -28,8 +28,12 @@ pub fn optimize_to_the_end(smoother: &mut Smoother) -> Result<BatchReport, Smoot
         return Ok(first);
     }
     let dogleg = BatchSettings { method: Method::Dogleg, max_iterations: DOGLEG, ..damped };
-    // What is singular for the dogleg method is no error: it is where the other has stopped.
-    let Ok(second) = smoother.optimize(&dogleg) else { return Ok(first) };
+    let second = match smoother.optimize(&dogleg) {
+        Ok(second) => second,
+        // Where the other method has stopped is a result all the same.
+        Err(SmootherError::Singular(_) | SmootherError::NonFinite { .. }) => return Ok(first),
+        Err(error) => return Err(error),
+    };
     let iterations = first.iterations + second.iterations;
     Ok(BatchReport { initial_error: first.initial_error, iterations, ..second })
 }

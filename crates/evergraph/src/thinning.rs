@@ -95,7 +95,7 @@ impl Thinning {
     /// then is ([`DegreeQueue`], [`LossQueue`]). A node that is needed stays and is listed. `done` is
     /// called after each node.
     ///
-    /// Prices are exact where linearization points are the estimates, as after
+    /// Prices are exact where the neighborhood is in the linear model ([`Options::linear_within`]), as after
     /// [`Smoother::optimize`]. With [`Rules::prices`] each node costs one more plan, with its joint
     /// covariance; with [`Order::MinLoss`] each does at the start and before it goes, and those next to a
     /// removed one again.

@@ -82,8 +82,8 @@ pub(crate) fn explain_removal(error: &RemovalError, name: &dyn Fn(VariableId) ->
             format!("the estimate of {} is not finite: {numbers:?}", name(*variable))
         }
         RemovalError::NonFiniteFactor { name: kind, variables, .. } => format!(
-            "the {kind} on {} has a residual or Jacobian that is not finite at the estimate; check its \
-             measurement and its weights",
+            "the {kind} on {} has a residual or Jacobian that is not finite where it is \
+             linearized; check its measurement and its weights",
             list(variables)
         ),
         RemovalError::NotComposable { removed, name: kind, variables, .. } => format!(

@@ -76,10 +76,10 @@ pub enum RemovalError {
         /// How many estimates.
         actual: usize,
     },
-    /// A factor whose residual or Jacobian is not finite at the estimate.
+    /// A factor whose residual or Jacobian is not finite where it is linearized.
     #[error(
-        "factor {factor} ({name}) on {variables:?} has a residual or Jacobian that is not finite at the \
-         estimate; its variables cannot be removed before it is dropped or they move"
+        "factor {factor} ({name}) on {variables:?} has a residual or Jacobian that is not finite where it is \
+         linearized; its variables cannot be removed before it is dropped or they move"
     )]
     NonFiniteFactor {
         /// The factor's id, or `planned` for one that an earlier step of the plan adds.

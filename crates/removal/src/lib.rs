@@ -14,23 +14,25 @@
 //!    coordinates, or an ordinary factor, placed such that the gradient is kept.
 //! 5. The **price**: the Kullback-Leibler divergence of the map after from the map before.
 //!
-//! Throughout, ξ is a right perturbation at the estimate and η = -Σ Jᵀ r. Everything is done on
-//! square roots (but for prices, composition and iSAM's variants), so that ranks are told down to 1e-10
-//! of a column's norm and
-//! what is relative stays exactly that.
+//! Throughout, ξ is a right perturbation and η = -Σ Jᵀ r, both counted from the estimate, in the linear
+//! model around linearization points that are near it ([`Options::linear_within`]), else around the
+//! estimate. Everything is done on square roots (but for prices, composition and iSAM's variants), so that
+//! ranks are told down to 1e-10 of a column's norm and what is relative stays exactly that.
 //!
 //! # What is promised
 //!
-//! - Removal with [`Topology::Dense`] is exact at the estimate, information and gradient. A tree has
+//! - Removal with [`Topology::Dense`] is exact in that model, information and gradient. A tree has
 //!   the exact gradient, and of all trees the least divergence in the regular case.
 //! - `null(Λ') = null(Λ_t)`: no direction becomes free, whatever the rest of the graph. Where a tree
 //!   cannot do that, the step says what took its place ([`Fallback`]).
-//! - Removal at the optimum moves nothing ([`Offset::KeepGradient`]).
+//! - Removal at the optimum moves nothing ([`Offset::KeepGradient`]). But linear factors do not bend:
+//!   where residuals bend as much as they tell (ranges to few beacons, false loop closures), an optimum of
+//!   the full graph need not be one of the reduced graph when that is optimized again.
 //!
 //! Not of what is asked to be lost: [`Recovery::Drop`], [`Recovery::Composition`],
 //! [`Rank::Absolute`] and robust factors below [`Options::least_weight`].
 //!
-//! A plan goes stale, rather than wrong, when anything that it read changes ([`Plan`]).
+//! A plan goes stale, rather than wrong, when a variable or factor that it read changes ([`Plan`]).
 //!
 //! # When not to remove
 //!

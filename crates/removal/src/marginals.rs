@@ -127,7 +127,6 @@ mod tests {
             held: [None; 2],
             explained: 0.0,
             free: 0,
-            delta: DVector::zeros(n),
         }
     }
 

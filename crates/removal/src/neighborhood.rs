@@ -147,7 +147,7 @@ impl Neighborhood {
     }
 
     /// Linearizes a factor. A robust factor writes rows scaled by the root of its weight, so the
-    /// weight is frozen at the estimate by taking them as they are.
+    /// weight is frozen by taking them as they are.
     fn read(
         &self,
         source: Source,
@@ -177,21 +177,28 @@ impl Neighborhood {
         let mut rows = DMatrix::zeros(dim, width + 1);
         factor.linearize(&arguments, &mut Linearization::new(dim, &columns, rows.as_mut_slice()));
         rows.column_mut(width).neg_mut();
-        if !error.is_finite() || rows.iter().any(|x| !x.is_finite()) {
+        let is_finite = |rows: &DMatrix<f64>, error: f64| {
+            error.is_finite() && rows.iter().all(|x| x.is_finite())
+        };
+        if !is_finite(&rows, error) {
             return Err(non_finite());
         }
         let norm: f64 = residual.iter().map(|r| r * r).sum();
         let weighted = rows.column(width).norm_squared();
         let weight = if norm.is_normal() { weighted / norm } else { 1.0 };
+        let mut error = error;
         if members.iter().any(|&m| self.members[m].is_off()) {
-            self.step(&members, &mut rows);
+            self.carry_to_estimate(&members, &mut rows);
+            error += 0.5 * (rows.column(width).norm_squared() - weighted);
+            if !is_finite(&rows, error) {
+                return Err(non_finite());
+            }
         }
-        let error = error + 0.5 * (rows.column(width).norm_squared() - weighted);
         Ok(Read { source, members, rows, error, weight })
     }
 
     /// From where the members are seen to the estimate: `b - Jδ`.
-    fn step(&self, members: &[usize], rows: &mut DMatrix<f64>) {
+    fn carry_to_estimate(&self, members: &[usize], rows: &mut DMatrix<f64>) {
         let (jacobian, mut b) = rows.columns_range_pair_mut(0..rows.ncols() - 1, rows.ncols() - 1);
         let mut column = 0;
         for &m in members {

@@ -127,7 +127,7 @@ pub struct Options {
     /// as the papers do: the tree then stands for all that the clique knows, and edges between kept
     /// neighbours do not pile up. `false` leaves them alone. Default `true`.
     pub intra_clique: bool,
-    /// A robust factor of less weight than this at the estimate (by more than rounding) is not
+    /// A robust factor of less weight than this where it is linearized (by more than rounding) is not
     /// absorbed: between kept variables it stays, on the node it goes without a trace (the plan lists
     /// it). At 1 only factors that their kernel leaves whole are absorbed. Default 0.01.
     pub least_weight: f64,
@@ -135,9 +135,10 @@ pub struct Options {
     pub guard: Guard,
     /// Where an estimate is no further than this (metres, radians, of each component) from its
     /// linearization point, the removal takes the variable as it is in the linear model that the smoother
-    /// has solved: then nothing else moves, not even by a second-order term. Further away the factors are
-    /// linearized at the estimate. Default 0.01, which leaves 0.5 mm of a relative position 10 m away. See
-    /// [`Estimates::linearized`](crate::Estimates::linearized).
+    /// has solved; where it takes the node and all of the blanket like that, nothing else moves, not even by
+    /// a second-order term. Further away the factors are linearized at the estimate. Default 0.01: the
+    /// square of it over two, 5e-5 for each metre to a neighbour, is what the linear model leaves out at
+    /// most. See [`Estimates::linearized`](crate::Estimates::linearized).
     pub linear_within: f64,
     /// A blanket of more tangent dimensions than this is refused: planning is cubic in it. A
     /// beacon that is heard from all of a map has one. Default 1000.

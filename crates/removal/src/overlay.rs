@@ -142,9 +142,13 @@ impl<'a> Overlay<'a> {
         variables: &[VariableId],
         linear_within: f64,
     ) -> Result<Vec<Member>, RemovalError> {
-        let count = |actual| match actual == variables.len() {
-            true => Ok(()),
-            false => Err(RemovalError::EstimateCount { expected: variables.len(), actual }),
+        let count = |actual| {
+            let expected = variables.len();
+            if actual == expected {
+                Ok(())
+            } else {
+                Err(RemovalError::EstimateCount { expected, actual })
+            }
         };
         let Some(found) = self.estimates.linearized(variables)? else {
             let values = self.estimates.estimates_of(variables)?;
@@ -159,8 +163,7 @@ impl<'a> Overlay<'a> {
                 let (actual, dim) = (value.kind().name(), delta.len());
                 return Err(RemovalError::EstimateMismatch { variable: id, actual, dim });
             }
-            // Written so that NaN is beyond it.
-            if delta.iter().all(|x| x.abs() <= linear_within) {
+            if delta.iter().all(|x| x.is_finite() && x.abs() <= linear_within) {
                 return Ok(Member { id, value, delta: DVector::from_vec(delta) });
             }
             let mut estimate = value.storage().to_vec();

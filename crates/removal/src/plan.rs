@@ -1,5 +1,7 @@
 //! Plans: a change, and what it costs.
 
+use std::collections::BTreeMap;
+
 use evergraph_model::{Change, FactorId, Graph, GraphError, VariableId};
 
 use crate::error::RemovalError;
@@ -16,13 +18,14 @@ use crate::step::{Draft, Step};
 /// The change drops the nodes and the factors that are absorbed, and adds the new ones; it moves no
 /// linearization point, since that is for the smoother to do, for all that moved together. It requires the
 /// versions of all variables that were read, so that it is refused as stale when one of them, or a
-/// factor on one of them, has changed since.
+/// factor on one of them, has changed since. Estimates that move and points that the smoother
+/// relinearizes do not make it stale; [`drift`](Self::drift) tells of them.
 #[derive(Clone, Debug)]
 pub struct Plan {
     change: Change,
     steps: Vec<Step>,
     /// The blankets as they were seen.
-    seen: Vec<Member>,
+    seen: BTreeMap<VariableId, Member>,
 }
 
 impl Plan {
@@ -73,36 +76,28 @@ impl Plan {
     /// # Errors
     /// [`GraphError`] when a variable has no estimate any more.
     pub fn drift(&self, estimates: &dyn Estimates) -> Result<f64, GraphError> {
+        let now = estimates.estimates_of(&self.seen.keys().copied().collect::<Vec<_>>())?;
         let mut largest = 0.0_f64;
-        for member in &self.seen {
-            let now = estimates.estimate(member.id)?;
+        for (member, now) in self.seen.values().zip(now) {
             let mut local = vec![0.0; member.value.dim()];
             member.value.kind().local(&member.estimate(), now.storage(), &mut local);
-            largest = local.iter().fold(largest, |m, x| m.max(x.abs()));
+            // `max` would take a NaN for nothing.
+            let step = local.iter().map(|x| if x.is_nan() { f64::INFINITY } else { x.abs() });
+            largest = step.fold(largest, f64::max);
         }
         Ok(largest)
     }
 
     /// One change for all that the steps have left in the overlay.
-    pub(crate) fn new(
-        overlay: &Overlay<'_>,
-        steps: Vec<Step>,
-        options: &Options,
-    ) -> Result<Self, RemovalError> {
+    fn new(work: Work<'_, '_>) -> Result<Self, RemovalError> {
+        let Work { overlay, steps, mut seen, .. } = work;
         let graph = overlay.graph;
         let mut change = graph.change();
         let mut removed: Vec<VariableId> =
             steps.iter().flat_map(|step| &step.removed).copied().collect();
         removed.sort_unstable();
-        let mut kept: Vec<VariableId> = steps
-            .iter()
-            .flat_map(|step| &step.blanket)
-            .copied()
-            .filter(|id| removed.binary_search(id).is_err())
-            .collect();
-        kept.sort_unstable();
-        kept.dedup();
-        for &variable in removed.iter().chain(&kept) {
+        seen.retain(|id, _| removed.binary_search(id).is_err());
+        for &variable in removed.iter().chain(seen.keys()) {
             change.require(variable, graph.version(variable)?);
         }
         for factor in overlay.dropped() {
@@ -114,7 +109,6 @@ impl Plan {
         for factor in overlay.surviving() {
             change.add_shared_factor(std::sync::Arc::clone(factor));
         }
-        let seen = overlay.members(&kept, options.linear_within)?;
         Ok(Self { change, steps, seen })
     }
 }
@@ -235,10 +229,10 @@ impl<'a> Removal<'a> {
             covariance,
             ledger: Ledger::default(),
             steps: Vec::new(),
+            seen: BTreeMap::new(),
         };
         many::run(&mut work, nodes, order)?;
-        let steps = work.steps;
-        Plan::new(&overlay, steps, &self.options)
+        Plan::new(work)
     }
 }
 
@@ -249,6 +243,7 @@ pub(crate) struct Work<'w, 'a> {
     covariance: Option<&'w mut dyn Covariance>,
     ledger: Ledger,
     steps: Vec<Step>,
+    seen: BTreeMap<VariableId, Member>,
 }
 
 impl Work<'_, '_> {
@@ -277,7 +272,8 @@ impl Work<'_, '_> {
     pub(crate) fn take(&mut self, draft: Draft) -> Result<(), RemovalError> {
         // It may have been drafted when there were others.
         check_last_pose(self.overlay, &draft.step.removed)?;
-        let Draft { mut step, factors, before, after, .. } = draft;
+        let Draft { mut step, factors, before, after, seen, .. } = draft;
+        self.seen.extend(seen.into_iter().map(|member| (member.id, member)));
         let dropped = step.absorbed.iter().chain(&step.rejected).copied();
         step.first_new = self.overlay.apply(&step.removed, dropped, &factors);
         if self.covariance.is_some() {

@@ -10,9 +10,9 @@ use crate::qr::triangle;
 /// ([`Covariances`](evergraph_solver::Covariances)). Closures
 /// `FnMut(&[VariableId]) -> Result<DMatrix<f64>, E>` are covariances.
 ///
-/// A smoother's come from its linearization points: prices are exact where these are the estimates,
-/// as right after a batch step, and off by what variables have moved relative to each other since
-/// otherwise. A motion that poses have in common changes nothing, because their tangents move along;
+/// A smoother's come from its linearization points: prices are exact where the removal is done in the
+/// linear model around these ([`Options::linear_within`](crate::Options::linear_within)), as right after a
+/// batch step, and off by what variables have moved relative to each other since otherwise. A motion that poses have in common changes nothing, because their tangents move along;
 /// carrying the covariances over by the derivative of `Local` would turn them against each other.
 pub trait Covariance {
     /// The joint covariance of `variables`, in that order, each in the order of its tangent.

@@ -8,7 +8,9 @@ use crate::overlay::{Estimates, Linearized};
 use crate::price::Covariance;
 
 /// Back-substituted for what is asked only: right for a few nodes of a large map. For many nodes
-/// [`Smoother::estimates`] or [`Smoother::kept_estimates`] cost less, but know no linearization points.
+/// [`Smoother::estimates`] or [`Smoother::kept_estimates`] cost less, but know no linearization points:
+/// right after [`Smoother::optimize`] these are the estimates, at other times a plan from such a source is off
+/// by what bends between the two.
 impl Estimates for Smoother {
     fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
         self.graph().check_variable(variable)?;

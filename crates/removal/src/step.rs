@@ -8,7 +8,7 @@ use std::sync::Arc;
 use crate::covariance::CovarianceRoot;
 use crate::error::{MakeError, RemovalError};
 use crate::motion::{carried, rotation_part};
-use crate::neighborhood::{Neighborhood, Read};
+use crate::neighborhood::{Member, Neighborhood, Read};
 use crate::options::{Offset, Options, Recovery, Topology};
 use crate::overlay::{Overlay, Source};
 use crate::potential::{Potential, Sum};
@@ -93,6 +93,8 @@ pub(crate) struct Draft {
     pub(crate) after: DMatrix<f64>,
     /// What the gradient `-Σ Jᵀ r` changes by.
     pub(crate) gradient: DVector<f64>,
+    /// The blanket as it was seen.
+    pub(crate) seen: Vec<Member>,
 }
 
 /// New factors, and what they add up to.
@@ -186,7 +188,7 @@ impl Draft {
         };
         let gradient = rows.tr_mul(&rhs) - target.gradient();
         let factors = made.into_iter().map(|m| m.factor).collect();
-        Self { step, factors, before: target.root, after: rows, gradient }
+        Self { step, factors, before: target.root, after: rows, gradient, seen: target.members }
     }
 }
 
@@ -301,8 +303,12 @@ impl Replacement {
             let known = if is_near { rotation } else { term.known().rotation() };
             new.known_rotation = new.known_rotation.max(known);
             new.largest_length = new.largest_length.max((&potential.rows * &offset).norm());
-            // As seen from the linearization points.
-            let offset = offset + potential.part(target, &target.delta);
+            // Counted from where the members are seen.
+            let delta = potential.members.iter().flat_map(|&m| target.members[m].delta.iter());
+            let offset = DVector::from_iterator(
+                offset.len(),
+                offset.iter().zip(delta).map(|(offset, delta)| offset + delta),
+            );
             new.made.extend(recover::make(overlay.graph, target, potential, &offset, options)?);
         }
         new.rhs = &rows * &minimum;

@@ -36,8 +36,6 @@ pub(crate) struct Target {
     pub(crate) explained: f64,
     /// Directions of the removed nodes that no factor determines.
     pub(crate) free: usize,
-    /// The steps from where the members are seen to the estimate.
-    pub(crate) delta: DVector<f64>,
 }
 
 /// A direction of which this share of a column's norm is known, or less, has its minimum up to
@@ -147,9 +145,6 @@ impl Target {
             held: [None; 2],
             explained,
             free,
-            delta: DVector::from_vec(
-                members[removed..].iter().flat_map(|m| m.delta.iter().copied()).collect(),
-            ),
         };
         for (slot, found) in target.held.iter_mut().zip(&held) {
             *slot = found.as_ref().map(|(place, _)| place - removed);

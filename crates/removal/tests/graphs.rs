@@ -89,15 +89,18 @@ fn removal_at_the_optimum_moves_nothing() {
 fn linearization_points_stay_where_they_are() {
     let (mut smoother, keys) = drive(30, true, 6);
     let node = keys[13].id();
-    for far in [1e-3, 0.1] {
+    // All in the linear model, none, and every second.
+    for far in [[1e-3, 1e-3], [0.1, 0.1], [1e-3, 0.1]] {
         let mut draw = Draw::new(1);
         let mut change = smoother.change();
-        for &key in &keys {
-            let away = smoother.estimate(key).unwrap().compose(&Pose2::exp(&draw.vector(far)));
+        for (k, &key) in keys.iter().enumerate() {
+            let away = Pose2::exp(&draw.vector(far[k % 2]));
+            let away = smoother.estimate(key).unwrap().compose(&away);
             change.move_linearization_point(key, &away);
         }
         smoother.apply(change).unwrap();
-        for options in [Options::default(), Options::dense()] {
+        let nonlinear = Options { recovery: Recovery::Nonlinear, ..Options::default() };
+        for options in [Options::default(), Options::dense(), nonlinear] {
             let mut reduced = smoother.clone();
             let before = reduced.estimates();
             let plan = Removal::new(reduced.graph(), &reduced).with_options(options).plan(node);
@@ -109,11 +112,33 @@ fn linearization_points_stay_where_they_are() {
                 assert_eq!(point, smoother.linearization_point(id).unwrap());
             }
             // In the linear model nothing moves at all; away from it, as far as it is wrong there.
+            let far = far[0].max(far[1]);
             let moved = largest_move(&before, &reduced.estimates());
             let within = if far < options.linear_within { 1e-10 } else { 0.1 * far };
             assert!(moved < within, "{moved:e} {far} {options:?}");
         }
     }
+}
+
+/// The smoother relinearizes after a plan has been made: it holds all the same, and `drift` tells by how
+/// much the estimate has changed.
+#[test]
+fn plans_hold_when_the_smoother_relinearizes() {
+    let (mut smoother, keys) = drive(30, true, 6);
+    let mut draw = Draw::new(3);
+    let mut change = smoother.change();
+    for &key in &keys {
+        let away = smoother.estimate(key).unwrap().compose(&Pose2::exp(&draw.vector(5e-3)));
+        change.move_linearization_point(key, &away);
+    }
+    smoother.apply(change).unwrap();
+    let plan = Removal::new(smoother.graph(), &smoother).plan(keys[13]).unwrap();
+    optimum(&mut smoother);
+    let before = smoother.estimates();
+    assert!(plan.drift(&smoother).unwrap() > 0.0);
+    smoother.apply(plan.into_change()).unwrap();
+    let moved = largest_move(&before, &smoother.estimates());
+    assert!(moved < 1e-3, "{moved:e}");
 }
 
 /// The error of the full graph is that of the reduced graph and the constant, in the linear model too.

@@ -109,6 +109,8 @@ const LARGEST_DAMPING: f64 = 1e12;
 const STILL: f64 = 1e-15;
 /// A decrease of no more than this for each row of the residual is none: 3e-8 standard deviations.
 const NOTHING: f64 = 1e-15;
+/// A full step that promises more of the error than this is no end.
+const PROMISING: f64 = 1e-6;
 /// A trust region this small relative to the Gauss-Newton step moves nothing.
 const SMALLEST_RADIUS: f64 = 1e-14;
 
@@ -228,13 +230,20 @@ impl Smoother {
                 info!(iteration = iterations, error, damping, "step taken");
                 self.relinearize_all()?;
                 eliminated = false;
-                damping = if damping <= FIRST_DAMPING { 0.0 } else { damping / DAMPING_FACTOR };
                 // A damped step is short because of the damping; only a full one proves the end.
-                if (decrease <= negligible || still) && damping == 0.0 {
+                let is_full = damping <= FIRST_DAMPING;
+                if (decrease <= negligible || still) && is_full {
                     break Status::Converged;
                 }
-            } else if (promised <= negligible || still || self.is_rounding(trial_error, error))
-                && damping == 0.0
+                // Where this one tells nothing any more, a full one is to be seen next.
+                damping = match is_full || decrease <= self.rounding(error) {
+                    true => 0.0,
+                    false => damping / DAMPING_FACTOR,
+                };
+            } else if damping == 0.0
+                && (promised <= negligible
+                    || still
+                    || self.is_rounding(trial_error, error, promised))
             {
                 break Status::Converged;
             } else if !may_damp {
@@ -305,8 +314,9 @@ impl Smoother {
                     }
                     break;
                 }
-                let nothing =
-                    promised <= negligible || still || self.is_rounding(trial_error, error);
+                let nothing = promised <= negligible
+                    || still
+                    || self.is_rounding(trial_error, error, promised);
                 if nothing && radius >= newton_length {
                     break 'outer Status::Converged;
                 }
@@ -329,10 +339,15 @@ impl Smoother {
         settings.relative_decrease * error + NOTHING * self.rows()
     }
 
-    /// Whether an error is larger by no more than what the sum of so many terms is rounded by: where full
-    /// steps overshoot, as beside false loop closures, no step ends in less than that.
-    fn is_rounding(&self, trial: f64, error: f64) -> bool {
-        trial - error <= f64::EPSILON * self.rows().sqrt() * error
+    /// Whether a full step raises the error by no more than rounding, and did not promise much: where such
+    /// steps overshoot, as beside false loop closures, there is no other end.
+    fn is_rounding(&self, trial: f64, error: f64, promised: f64) -> bool {
+        trial.is_finite() && trial - error <= self.rounding(error) && promised <= PROMISING * error
+    }
+
+    /// What the sum of so many terms is rounded by.
+    fn rounding(&self, error: f64) -> f64 {
+        f64::EPSILON * self.rows().sqrt() * error
     }
 
     /// Of all residuals.

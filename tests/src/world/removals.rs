@@ -20,6 +20,10 @@ pub struct Removals {
     pub deficient: usize,
     /// Steps that did not take the form that was asked for.
     pub fallbacks: usize,
+    /// Removals from a blanket in the linear model, with steps to the estimate.
+    pub linear: usize,
+    /// Removals of which something was seen at the estimate.
+    pub beyond: usize,
     /// Plans refused as stale.
     pub stale: usize,
     /// Removals that could not be planned.
@@ -33,6 +37,8 @@ impl std::ops::AddAssign for Removals {
         self.nodes += other.nodes;
         self.deficient += other.deficient;
         self.fallbacks += other.fallbacks;
+        self.linear += other.linear;
+        self.beyond += other.beyond;
         self.stale += other.stale;
         self.refused += other.refused;
         self.lost += other.lost;
@@ -138,6 +144,10 @@ impl World {
             }
         }
         for step in plan.steps() {
+            let members = || step.removed.iter().chain(&step.blanket);
+            let is_beyond = members().any(|&id| seen.is_beyond(id));
+            self.removals.beyond += usize::from(is_beyond);
+            self.removals.linear += usize::from(!is_beyond && members().any(|&id| seen.is_off(id)));
             let dim: usize = step.blanket.iter().map(|id| graph.dim_at(id.index())).sum();
             self.removals.deficient += usize::from(step.rank < dim);
             self.removals.fallbacks += usize::from(step.fallback.is_some());

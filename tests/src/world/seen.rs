@@ -1,6 +1,6 @@
 //! What a removal is held against: the linear model that is solved, by dense algebra.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use evergraph::Smoother;
 use evergraph::model::{Graph, GraphError, Value, VariableId};
@@ -10,27 +10,43 @@ use nalgebra::{DMatrix, DVector};
 use crate::stack;
 
 /// Where a removal sees each variable, and the step from there to its estimate.
-pub(super) struct Seen(BTreeMap<VariableId, Linearized>);
+pub(super) struct Seen {
+    at: BTreeMap<VariableId, Linearized>,
+    beyond: BTreeSet<VariableId>,
+}
 
 impl Seen {
     /// At the linearization point as far as [`Options::linear_within`] of the default allows, else at the
     /// estimate.
     pub(super) fn of(smoother: &Smoother) -> Self {
         let within = Options::default().linear_within;
+        let mut beyond = BTreeSet::new();
         let seen = |id| {
             let delta = smoother.deltas(&[id]).expect("it is there").remove(0);
             if delta.iter().all(|x| x.abs() <= within) {
                 let point = smoother.linearization_point(id).expect("it is there");
                 return (id, Linearized { point, delta });
             }
+            beyond.insert(id);
             let point = smoother.estimate_value(id).expect("it is there");
             (id, Linearized { delta: vec![0.0; point.dim()], point })
         };
-        Self(smoother.graph().variables().map(seen).collect())
+        let at = smoother.graph().variables().map(seen).collect();
+        Self { at, beyond }
+    }
+
+    /// Whether it is seen at the estimate, too far from its linearization point.
+    pub(super) fn is_beyond(&self, id: VariableId) -> bool {
+        self.beyond.contains(&id)
+    }
+
+    /// Whether its estimate is a step away from where it is seen.
+    pub(super) fn is_off(&self, id: VariableId) -> bool {
+        self.at.get(&id).is_some_and(|it| it.delta.iter().any(|&x| x != 0.0))
     }
 
     fn at(&self, id: VariableId) -> Result<&Linearized, GraphError> {
-        self.0.get(&id).ok_or(GraphError::UnknownVariable { variable: id })
+        self.at.get(&id).ok_or(GraphError::UnknownVariable { variable: id })
     }
 }
 

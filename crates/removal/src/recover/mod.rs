@@ -22,8 +22,8 @@ pub(crate) struct Made {
     pub(crate) linear: bool,
 }
 
-/// The factor for a term with its minimum at `offset` (in the members' tangents); `None` when it
-/// has no information by the rank rule.
+/// The factor for a term with its minimum at `offset` (in the members' tangents, from where they are
+/// seen); `None` when it has no information by the rank rule.
 pub(crate) fn make(
     graph: &Graph,
     target: &Target,

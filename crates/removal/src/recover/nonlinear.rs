@@ -34,7 +34,7 @@ pub(crate) fn factor(
     }
 }
 
-/// A prior at `z = x̂ Exp(d)`. Its residual at the estimate is `e₀ = Log(z⁻¹ x̂) = -d` and its
+/// A prior at `z = x̂ Exp(d)`, x̂ where the member is seen. Its residual there is `e₀ = Log(z⁻¹ x̂) = -d` and its
 /// Jacobian `W Jr⁻¹(e₀)`, so with `W = G Jr(e₀)` both information and gradient are those of the term:
 /// `W e₀ = -G Jr(-d) d = -G d`, since `Jr(ξ) ξ = ξ`.
 fn unary(
@@ -121,7 +121,7 @@ fn pair(
     Ok(None)
 }
 
-/// `z = x̂_ij Exp(d)`, with the residual `-d` at the estimate and `W = G Jr(-d)` as for a prior.
+/// `z = x̂_ij Exp(d)`, with the residual `-d` where the members are seen and `W = G Jr(-d)` as for a prior.
 fn between<G: LieGroup<N>, const N: usize>(
     graph: &Graph,
     (first, from): (&Member, G),
