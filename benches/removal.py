@@ -3,8 +3,8 @@
 
 usage: python benches/removal.py [--evergraph PROGRAM] [--print] [TABLE...]
 
-TABLEs are `loss`, `isam`, `exact`, `time` and `edges` here, and `cut`, `live` and `sweep` of the benchmark
-in Rust (benches/removal); all but `sweep` by default, which takes an hour or more of two cores. Finds the data sets by
+TABLEs are `loss`, `prices`, `isam`, `exact`, `time` and `edges` here, and `cut`, `live` and `sweep` of the
+benchmark in Rust (benches/removal); all but `sweep` by default, which takes an hour. Finds the data sets by
 EVERGRAPH_DATA, and builds Evergraph unless a PROGRAM is named.
 """
 import argparse
@@ -85,6 +85,32 @@ def loss(evergraph, table):
                 name, f"{percent} %", short(statistics.mean(each)), f"{short(min(each))}..{short(max(each))}",
                 short(degree["kld_covariance_per_dof"]), short(least["kld_covariance_per_dof"]),
                 ratio(random[0]), ratio(least))
+
+
+def prices(evergraph, table):
+    """Whether the sum of the prices tells which of two removals loses more."""
+    table.header("graph", "runs", "rank correlation", "prices / KLD, random 10 %", "50 %", "90 %")
+    for name in GRAPHS:
+        sums, losses, ratio = [], [], {}
+        for percent in (10, 30, 50, 70, 90):
+            for order, seed in (("random", 1), ("random", 2), ("min-degree", 1), ("min-loss", 1)):
+                report = evergraph.report(
+                    "remove", file_of(name), "--fraction", str(percent / 100), "--order", order, "--seed", str(seed))
+                price, loss = report["price_sum"], report["kld_covariance"]
+                if order == "random":
+                    ratio[percent] = price / loss
+                # What costs nothing is rounding, which has no order.
+                if loss > 1e-6:
+                    sums.append(price)
+                    losses.append(loss)
+        table.row(
+            name, str(len(sums)), f"{statistics.correlation(ranks(sums), ranks(losses)):.3f}",
+            *(f"{ratio[percent]:.2f}" for percent in (10, 50, 90)))
+
+
+def ranks(numbers):
+    order = sorted(numbers)
+    return [order.index(number) for number in numbers]
 
 
 def isam(evergraph, table):
@@ -185,7 +211,10 @@ def sweep(_, table):
                 table.line(line)
 
 
-TABLES = {"loss": loss, "isam": isam, "exact": exact, "time": time, "edges": edges, "cut": cut, "live": live, "sweep": sweep}
+TABLES = {
+    "loss": loss, "prices": prices, "isam": isam, "exact": exact, "time": time, "edges": edges, "cut": cut,
+    "live": live, "sweep": sweep,
+}
 
 
 def main():
