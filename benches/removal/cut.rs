@@ -3,14 +3,13 @@
 use std::collections::{BTreeSet, HashMap};
 use std::time::Instant;
 
-use evergraph::evaluate::{Divergence, Solved};
 use evergraph::formats::{Document, Record};
 use evergraph::model::VariableId;
 use evergraph::removal::{Offset, Options, Order, Recovery, Topology, shuffled};
 use evergraph::{Replayer, Rules, Thinning, optimize_to_the_end};
 use rayon::prelude::*;
 
-use crate::{Failure, gauge, optimum, read, replayer, settings, short};
+use crate::{Failure, divergence, gauge, optimum, read, replayer, short};
 
 const SEED: u64 = 1;
 
@@ -108,20 +107,7 @@ impl Cut {
         }
         while reduced.step()?.is_some() {}
         optimize_to_the_end(reduced.smoother_mut())?;
-        let (was, is) = (full.smoother().estimates(), reduced.smoother().estimates());
-        let everyone: HashMap<u64, VariableId> = full.replay().ids().collect();
-        let pairs: Vec<(VariableId, VariableId)> = reduced
-            .replay()
-            .ids()
-            .filter(|(_, id)| reduced.graph().check_variable(*id).is_ok())
-            .map(|(id, here)| (everyone[&id], here))
-            .collect();
-        let divergence = Divergence::of(
-            Solved { graph: full.graph(), estimates: &was },
-            Solved { graph: reduced.graph(), estimates: &is },
-            &pairs,
-            &settings(),
-        )?;
+        let divergence = divergence(full, &reduced)?;
         eprintln!("{name}: {:.1} s", seconds());
         Ok(format!(
             "{name} | {:.4} | {:.4} | {:.4} | {:.4}",

@@ -3,14 +3,13 @@
 use std::collections::{BTreeSet, HashMap};
 use std::time::Instant;
 
-use evergraph::evaluate::{Divergence, Solved};
 use evergraph::formats::{Document, Record};
 use evergraph::model::VariableId;
 use evergraph::removal::{Removal, shuffled};
 use evergraph::{Replayer, optimize_to_the_end};
 use rayon::prelude::*;
 
-use crate::{Failure, gauge, optimum, read, replayer, settings, short};
+use crate::{Failure, divergence, gauge, optimum, read, replayer, short};
 
 const SEED: u64 = 1;
 /// Poses between the newest and the one that goes.
@@ -47,20 +46,7 @@ fn row(file: &str) -> Result<String, Failure> {
     let live = reduced.smoother().error() + constant;
     let optimized = optimize_to_the_end(reduced.smoother_mut())?.error + constant;
 
-    let (was, is) = (full.smoother().estimates(), reduced.smoother().estimates());
-    let everyone: HashMap<u64, VariableId> = full.replay().ids().collect();
-    let pairs: Vec<(VariableId, VariableId)> = reduced
-        .replay()
-        .ids()
-        .filter(|(_, id)| reduced.graph().check_variable(*id).is_ok())
-        .map(|(id, here)| (everyone[&id], here))
-        .collect();
-    let divergence = Divergence::of(
-        Solved { graph: full.graph(), estimates: &was },
-        Solved { graph: reduced.graph(), estimates: &is },
-        &pairs,
-        &settings(),
-    )?;
+    let divergence = divergence(&full, &reduced)?;
     Ok(format!(
         "| {} | {} | {removed} | {live:.4} | {optimized:.4} | {:.4} | {:.4} | {:.4} | {:.4} | {:.4} |",
         short(file),

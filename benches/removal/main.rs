@@ -8,11 +8,13 @@ mod cut;
 mod live;
 mod sweep;
 
+use std::collections::HashMap;
 use std::path::Path;
 use std::process::ExitCode;
 
+use evergraph::evaluate::{Divergence, DivergenceError, Solved};
 use evergraph::formats::{Document, ReadOptions, ReplayOptions};
-use evergraph::model::FactorId;
+use evergraph::model::{FactorId, VariableId};
 use evergraph::solver::{Settings, Status};
 use evergraph::{Replayer, ReplayerError, optimize_to_the_end};
 
@@ -79,4 +81,22 @@ fn optimum(document: &Document) -> Result<(Replayer, bool), Failure> {
 /// What holds the map in its place is no measurement: it stays.
 fn gauge(replayer: &Replayer) -> Vec<FactorId> {
     replayer.replay().gauge_priors().iter().map(|prior| prior.factor).collect()
+}
+
+/// What a reduced graph has lost of the full one; variables are the same where their ids in the file are.
+fn divergence(full: &Replayer, reduced: &Replayer) -> Result<Divergence, DivergenceError> {
+    let (was, is) = (full.smoother().estimates(), reduced.smoother().estimates());
+    let everyone: HashMap<u64, VariableId> = full.replay().ids().collect();
+    let pairs: Vec<(VariableId, VariableId)> = reduced
+        .replay()
+        .ids()
+        .filter(|(_, id)| reduced.graph().check_variable(*id).is_ok())
+        .map(|(id, here)| (everyone[&id], here))
+        .collect();
+    Divergence::of(
+        Solved { graph: full.graph(), estimates: &was },
+        Solved { graph: reduced.graph(), estimates: &is },
+        &pairs,
+        &settings(),
+    )
 }

@@ -6,8 +6,9 @@ mod common;
 
 use common::*;
 use evergraph_factors::BetweenPose2;
-use evergraph_model::{FactorId, Kernel, LieGroup, Noise, Pose2, Robust, Values, VariableId};
+use evergraph_model::{FactorId, Kernel, Key, LieGroup, Noise, Pose2, Robust, Values, VariableId};
 use evergraph_removal::{MutualInformation, Options, Order, Recovery, Removal, Source};
+use evergraph_solver::Smoother;
 use nalgebra::{DMatrix, DVector};
 
 #[test]
@@ -83,6 +84,19 @@ fn removal_at_the_optimum_moves_nothing() {
     }
 }
 
+/// Moves linearization points away from the estimates: those of every second pose by up to one, of the
+/// others by up to another distance.
+fn move_points(smoother: &mut Smoother, keys: &[Key<Pose2>], far: [f64; 2]) {
+    let mut draw = Draw::new(1);
+    let mut change = smoother.change();
+    for (k, &key) in keys.iter().enumerate() {
+        let away = Pose2::exp(&draw.vector(far[k % 2]));
+        let away = smoother.estimate(key).unwrap().compose(&away);
+        change.move_linearization_point(key, &away);
+    }
+    smoother.apply(change).unwrap();
+}
+
 /// Points that move alone make the linear models of all factors between them and others inconsistent:
 /// a removal leaves that to the smoother.
 #[test]
@@ -91,14 +105,7 @@ fn linearization_points_stay_where_they_are() {
     let node = keys[13].id();
     // All in the linear model, none, and every second.
     for far in [[1e-3, 1e-3], [0.1, 0.1], [1e-3, 0.1]] {
-        let mut draw = Draw::new(1);
-        let mut change = smoother.change();
-        for (k, &key) in keys.iter().enumerate() {
-            let away = Pose2::exp(&draw.vector(far[k % 2]));
-            let away = smoother.estimate(key).unwrap().compose(&away);
-            change.move_linearization_point(key, &away);
-        }
-        smoother.apply(change).unwrap();
+        move_points(&mut smoother, &keys, far);
         let nonlinear = Options { recovery: Recovery::Nonlinear, ..Options::default() };
         for options in [Options::default(), Options::dense(), nonlinear] {
             let mut reduced = smoother.clone();
@@ -125,13 +132,7 @@ fn linearization_points_stay_where_they_are() {
 #[test]
 fn plans_hold_when_the_smoother_relinearizes() {
     let (mut smoother, keys) = drive(30, true, 6);
-    let mut draw = Draw::new(3);
-    let mut change = smoother.change();
-    for &key in &keys {
-        let away = smoother.estimate(key).unwrap().compose(&Pose2::exp(&draw.vector(5e-3)));
-        change.move_linearization_point(key, &away);
-    }
-    smoother.apply(change).unwrap();
+    move_points(&mut smoother, &keys, [5e-3; 2]);
     let plan = Removal::new(smoother.graph(), &smoother).plan(keys[13]).unwrap();
     optimum(&mut smoother);
     let before = smoother.estimates();
@@ -145,13 +146,7 @@ fn plans_hold_when_the_smoother_relinearizes() {
 #[test]
 fn constants_are_of_the_estimate() {
     let (mut smoother, keys) = drive(30, true, 6);
-    let mut draw = Draw::new(2);
-    let mut change = smoother.change();
-    for &key in &keys {
-        let away = smoother.estimate(key).unwrap().compose(&Pose2::exp(&draw.vector(1e-3)));
-        change.move_linearization_point(key, &away);
-    }
-    smoother.apply(change).unwrap();
+    move_points(&mut smoother, &keys, [1e-3; 2]);
     for options in [Options::default(), Options::dense()] {
         let mut reduced = smoother.clone();
         let plan =
