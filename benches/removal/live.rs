@@ -1,4 +1,4 @@
-//! Every second pose goes while the map is made, fifty poses after it came in.
+//! Half of the poses, chosen at random, go while the map is made, fifty poses after they came in.
 
 use std::collections::{BTreeSet, HashMap};
 use std::time::Instant;

@@ -131,7 +131,7 @@ fn where_full_steps_overshoot_rounding_ends_it() {
     }
 }
 
-/// Between false loop closures damped steps crawl: 427 of them where dogleg takes a hundred.
+/// Between false loop closures damped steps crawl, and dogleg goes on.
 #[test]
 fn false_loop_closures_are_brought_to_the_end() {
     let test = "false_loop_closures_are_brought_to_the_end";

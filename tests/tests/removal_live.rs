@@ -7,8 +7,8 @@ use evergraph::solver::{BatchSettings, Status};
 use evergraph::{Replayer, Settings};
 use evergraph_tests::{data_file, read, replay};
 
-/// Every second pose of a park goes when it is fifty poses old. The map is then as near to its optimum as
-/// one that is only made: where every removal moved linearization points, its error was eight times that.
+/// Half of the poses of a park go when they are fifty poses old. The map is then at its optimum all the
+/// same: where every removal moved linearization points its error was 3,116, and 3,092 was due.
 #[test]
 fn a_map_keeps_its_optimum_while_poses_go() {
     let test = "a_map_keeps_its_optimum_while_poses_go";

@@ -96,9 +96,8 @@ fn maps_of_landmarks_stay_where_they_are() {
     }
 }
 
-/// Ranges bend more than they tell: linearized again on a blanket alone, with everybody else where they
-/// were, they moved a beacon of the plaza five times as far with every removal next to it, from 1e-5 to
-/// ten metres.
+/// Ranges bend more than they tell: where the points of a blanket were linearized again alone, with
+/// everybody else where they were, a beacon of the plaza went ten metres away.
 #[test]
 fn maps_of_ranges_stay_where_they_are() {
     for (file, percent) in [("range/plaza1.pyfg", 10), ("range/single_drone.pyfg", 50)] {

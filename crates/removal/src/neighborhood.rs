@@ -173,7 +173,7 @@ impl Neighborhood {
         let dim = factor.residual_dim();
         let mut residual: SmallVec<[f64; 8]> = SmallVec::from_elem(0.0, dim);
         factor.residual(&arguments, &mut residual);
-        let error = factor.error(&residual);
+        let mut error = factor.error(&residual);
         let mut rows = DMatrix::zeros(dim, width + 1);
         factor.linearize(&arguments, &mut Linearization::new(dim, &columns, rows.as_mut_slice()));
         rows.column_mut(width).neg_mut();
@@ -186,7 +186,6 @@ impl Neighborhood {
         let norm: f64 = residual.iter().map(|r| r * r).sum();
         let weighted = rows.column(width).norm_squared();
         let weight = if norm.is_normal() { weighted / norm } else { 1.0 };
-        let mut error = error;
         if members.iter().any(|&m| self.members[m].is_off()) {
             self.carry_to_estimate(&members, &mut rows);
             error += 0.5 * (rows.column(width).norm_squared() - weighted);

@@ -4,7 +4,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use evergraph_model::{Factor, FactorId, Graph, GraphError, Value, Values, VariableId};
-
 use nalgebra::DVector;
 
 use crate::error::RemovalError;

@@ -42,8 +42,8 @@ pub struct BatchSettings {
     /// Most linearizations. Default 100.
     pub max_iterations: u32,
     /// Converged when a step lowers, or the linear model promises to lower, the error by less than
-    /// this share of it or by nothing that could be told, or raises it by rounding, or the step is lost in
-    /// the rounding of what it moves. Default 1e-11.
+    /// this share of it or by nothing that could be told, or the step is lost in the rounding of what it
+    /// moves, or (but for dogleg) it raises the error by rounding. Default 1e-11.
     pub relative_decrease: f64,
 }
 
@@ -314,10 +314,7 @@ impl Smoother {
                     }
                     break;
                 }
-                let nothing = promised <= negligible
-                    || still
-                    || self.is_rounding(trial_error, error, promised);
-                if nothing && radius >= newton_length {
+                if (promised <= negligible || still) && radius >= newton_length {
                     break 'outer Status::Converged;
                 }
                 radius = 0.25 * radius.min(newton_length);
