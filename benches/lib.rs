@@ -2,8 +2,9 @@
 
 use evergraph::Replayer;
 use evergraph::factors::{Between, LocalJacobian};
-use evergraph::formats::{Document, ReplayOptions};
+use evergraph::formats::Document;
 use evergraph::prelude::*;
+use evergraph::replay::ReplayOptions;
 use evergraph::simulate::{Grid, Surface};
 
 /// A 2D world with many revisits.

@@ -13,8 +13,9 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use evergraph::evaluate::{Divergence, DivergenceError, Solved};
-use evergraph::formats::{Document, ReadOptions, ReplayOptions};
+use evergraph::formats::{Document, ReadOptions};
 use evergraph::model::{FactorId, VariableId};
+use evergraph::replay::ReplayOptions;
 use evergraph::solver::{Settings, Status};
 use evergraph::{Replayer, ReplayerError, optimize_to_the_end};
 

@@ -3,7 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use evergraph::formats::{Document, ReadOptions, ReplayOptions};
+use evergraph::formats::{Document, ReadOptions};
+use evergraph::replay::ReplayOptions;
 use evergraph::{Replayer, Settings};
 
 /// Reads a graph file as the program does by default.

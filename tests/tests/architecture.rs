@@ -7,15 +7,38 @@ use evergraph_tests::repository;
 use toml::{Table, Value};
 
 /// Which of our crates a crate may use. A new crate is a new line here.
-const MAY_USE: [(&str, &[&str]); 9] = [
+const MAY_USE: [(&str, &[&str]); 12] = [
     ("model", &[]),
     ("factors", &["model"]),
     ("solver", &["model"]),
     ("formats", &["model", "factors"]),
     ("simulate", &["model", "factors", "formats"]),
     ("removal", &["model", "factors", "solver"]),
-    ("evaluate", &["model", "factors", "solver", "removal", "formats", "simulate"]),
-    ("evergraph", &["model", "factors", "solver", "removal", "formats", "simulate", "evaluate"]),
+    ("initialize", &["model", "factors", "solver"]),
+    ("longterm", &["model", "factors", "solver", "removal"]),
+    (
+        "replay",
+        &["model", "factors", "solver", "removal", "formats", "initialize", "longterm", "simulate"],
+    ),
+    (
+        "evaluate",
+        &["model", "factors", "solver", "removal", "formats", "simulate", "longterm", "replay"],
+    ),
+    (
+        "evergraph",
+        &[
+            "model",
+            "factors",
+            "solver",
+            "removal",
+            "formats",
+            "simulate",
+            "initialize",
+            "longterm",
+            "replay",
+            "evaluate",
+        ],
+    ),
     ("cli", &["evergraph"]),
 ];
 

@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use evergraph::factors::autodiff::{AutoDiff, Number, Parameters, Residual, Vector2};
-use evergraph::formats::{Initial, ReplayOptions};
 use evergraph::optimize_to_the_end;
 use evergraph::prelude::*;
+use evergraph::replay::{Initial, ReplayOptions};
 use evergraph::solver::Reason;
 use evergraph_tests::{References, data_dir, data_file, read};
 

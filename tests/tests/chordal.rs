@@ -6,7 +6,7 @@
     reason = "a test fails by panicking, and says what it saw"
 )]
 
-use evergraph::formats::{Initial, ReplayOptions};
+use evergraph::replay::{Initial, ReplayOptions};
 use evergraph::solver::{BatchSettings, Relinearization, Status};
 use evergraph::{Replayer, Settings, chordal};
 use evergraph_tests::{References, data_dir, read};

@@ -12,10 +12,9 @@ use evergraph::evaluate::{
     AbsoluteError, Alignment, Association, Map, PosePairs, RelativeError, RelativePairs, Start,
     Statistics,
 };
-use evergraph::formats::{
-    Initial, ReadOptions, ReplayOptions, Stamps, Trajectory, TrajectoryFormat,
-};
+use evergraph::formats::{ReadOptions, Stamps, Trajectory, TrajectoryFormat};
 use evergraph::model::Rot3;
+use evergraph::replay::{Initial, ReplayOptions};
 use evergraph::solver::{BatchSettings, Status};
 use evergraph::{Replayer, Settings};
 use evergraph_tests::{data_dir, data_file, read};

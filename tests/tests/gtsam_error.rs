@@ -4,7 +4,7 @@
 
 use evergraph::Replayer;
 use evergraph::Settings;
-use evergraph::formats::{Initial, ReplayOptions};
+use evergraph::replay::{Initial, ReplayOptions};
 use evergraph::solver::Relinearization;
 use evergraph_tests::{data_file, read};
 

@@ -7,7 +7,8 @@
 
 use std::time::Instant;
 
-use evergraph::formats::{Document, Initial, Record, ReplayOptions};
+use evergraph::formats::{Document, Record};
+use evergraph::replay::{Initial, ReplayOptions};
 use evergraph::solver::BatchSettings;
 use evergraph::{Replayer, Settings};
 use evergraph_tests::{data_file, read, replay};

@@ -1,8 +1,9 @@
 //! Nodes go while the map is made.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use evergraph::formats::{Document, ReplayOptions};
+use evergraph::formats::Document;
 use evergraph::removal::{Removal, shuffled};
+use evergraph::replay::ReplayOptions;
 use evergraph::solver::{BatchSettings, Status};
 use evergraph::{Replayer, Settings};
 use evergraph_tests::{data_file, read, replay};

@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 
 use evergraph::factors::Prior;
-use evergraph::formats::{GaugePrior, spell_id};
+use evergraph::formats::spell_id;
 use evergraph::model::{Change, FactorId, Graph, Noise, Pose2, Pose3, Value, VariableId};
+use evergraph::replay::GaugePrior;
 use evergraph::{Overview, Replayer, optimize_to_the_end};
 
 use crate::error::Error;

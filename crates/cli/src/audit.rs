@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use clap::Args;
 use evergraph::Replayer;
-use evergraph::evaluate::{Audit, AuditSample};
+use evergraph::replay::{Audit, AuditSample};
 use evergraph::solver::Status as BatchStatus;
 use serde_json::json;
 

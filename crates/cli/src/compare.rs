@@ -6,8 +6,9 @@ use std::time::Instant;
 
 use clap::Args;
 use evergraph::evaluate::{Divergence, Solved};
-use evergraph::formats::{Document, ReplayOptions, spell_id};
+use evergraph::formats::{Document, spell_id};
 use evergraph::model::{Value, VariableId};
+use evergraph::replay::ReplayOptions;
 use evergraph::solver::{BatchReport, Relinearization};
 use evergraph::{Overview, Replayer, optimize_to_the_end};
 use serde_json::{Map, json};

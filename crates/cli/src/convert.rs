@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use evergraph::formats::{WriteOptions, Written};
+use evergraph::formats::WriteOptions;
 use serde_json::json;
 
 use crate::error::Error;
-use crate::files;
+use crate::files::{self, Saved};
 use crate::options::{Common, Reading};
 use crate::output::Output;
 use crate::report::{self, SCHEMA};
@@ -42,12 +42,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let common = &arguments.common;
     let output = Output::new(common);
     let document = arguments.reading.read(&arguments.input, common)?;
-    let written = files::write_document(
-        &arguments.output,
-        &document,
-        WriteOptions { plain: arguments.plain },
-    )?;
-    tell(&written, &arguments.output, output);
+    let options = WriteOptions { plain: arguments.plain };
+    let saved = files::write_document(&arguments.output, &document, options)?;
+    tell(&saved, &arguments.output, output);
+    let written = &saved.written;
     let report = json!({
         "schema": SCHEMA,
         "command": "convert",
@@ -56,7 +54,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         "from": document.dialect().to_string(),
         "lines": written.lines,
         "dropped_vertices": written.dropped_vertices,
-        "added_vertices": written.added_vertices,
+        "added_vertices": saved.added_vertices,
         "renumbered_landmarks": written.renumbered_landmarks,
         "named": written.named,
         "added_times": written.added_times,
@@ -75,14 +73,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
 }
 
 /// Warns about what a written file does not hold as its source does.
-pub(crate) fn tell(written: &Written, path: &Path, output: Output) {
-    let path = path.display();
+pub(crate) fn tell(saved: &Saved, path: &Path, output: Output) {
+    let (path, written) = (path.display(), &saved.written);
     if written.dropped_vertices > 0 {
         let count = written.dropped_vertices;
         output.warn(&format!("{path}: iSAM files have no vertices; {count} were left out"));
     }
-    if written.added_vertices > 0 {
-        let count = written.added_vertices;
+    if saved.added_vertices > 0 {
+        let count = saved.added_vertices;
         output.warn(&format!(
             "{path}: TORO files need vertices; {count} were composed from odometry"
         ));

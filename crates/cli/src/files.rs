@@ -5,6 +5,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use evergraph::formats::{Dialect, Document, FormatError, TrajectoryError, WriteOptions, Written};
+use evergraph::replay::with_start_vertices;
 
 use crate::error::Error;
 
@@ -112,19 +113,36 @@ pub(crate) fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     file.finish()
 }
 
+/// A document that was written.
+#[derive(Debug)]
+pub(crate) struct Saved {
+    pub written: Written,
+    /// Vertices composed from the edges, for a TORO file.
+    pub added_vertices: usize,
+}
+
 /// Writes a document in the format of the path's extension.
 pub(crate) fn write_document(
     path: &Path,
     document: &Document,
     options: WriteOptions,
-) -> Result<Written, Error> {
+) -> Result<Saved, Error> {
     let dialect = dialect_of(path)?;
+    let placed = placed(document, dialect)?;
+    let whole = placed.as_ref().unwrap_or(document);
     // What the dialect cannot hold is found before a file is made.
-    check_fits(document, dialect, options)?;
+    whole.write_with(&mut io::sink(), dialect, &options)?;
     let mut file = NewFile::create(path)?;
-    let written = file.fill(|out| document.write_with(out, dialect, &options))?;
+    let written = file.fill(|out| whole.write_with(out, dialect, &options))?;
     file.finish()?;
-    Ok(written)
+    let added_vertices = whole.summary().vertices - document.summary().vertices;
+    Ok(Saved { written, added_vertices })
+}
+
+/// The document with composed vertices, where the dialect needs them.
+fn placed(document: &Document, dialect: Dialect) -> Result<Option<Document>, Error> {
+    let needs = document.needs_vertices(dialect);
+    Ok(needs.then(|| with_start_vertices(document)).transpose()?)
 }
 
 /// Whether the document can be written to the path at all: asked before long work.
@@ -133,7 +151,9 @@ pub(crate) fn check_output(
     document: &Document,
     options: WriteOptions,
 ) -> Result<(), Error> {
-    check_fits(document, dialect_of(path)?, options)?;
+    let dialect = dialect_of(path)?;
+    let placed = placed(document, dialect)?;
+    placed.as_ref().unwrap_or(document).write_with(&mut io::sink(), dialect, &options)?;
     check_writable(path)
 }
 
@@ -184,11 +204,6 @@ pub(crate) fn check_writable(path: &Path) -> Result<(), Error> {
         return Err(Error::Write { path: path.into(), source });
     }
     NewFile::create(path).map(drop)
-}
-
-fn check_fits(document: &Document, dialect: Dialect, options: WriteOptions) -> Result<(), Error> {
-    document.write_with(&mut io::sink(), dialect, &options)?;
-    Ok(())
 }
 
 pub(crate) fn dialect_of(path: &Path) -> Result<Dialect, Error> {

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use evergraph::formats::{Document, Initial};
+use evergraph::formats::Document;
+use evergraph::replay::Initial;
 use evergraph::{Overview, Start};
 use serde_json::{Value, json};
 

@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use clap::{ArgAction, Args, ValueEnum};
 use evergraph::evaluate::Map;
 use evergraph::formats::{
-    Dialect, Document, G2oRotation, Initial, ReadOptions, ReplayOptions, TrajectoryFormat,
-    WeightKind,
+    Dialect, Document, G2oRotation, ReadOptions, TrajectoryFormat, WeightKind,
 };
 use evergraph::model::Kernel;
+use evergraph::replay::{Initial, ReplayOptions};
 use evergraph::solver::{Elimination, Fluid, Relinearization, Settings};
 use tracing::info;
 

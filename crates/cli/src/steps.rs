@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use evergraph::Replayed;
-use evergraph::formats::StepKind;
+use evergraph::replay::StepKind;
 
 use crate::error::Error;
 use crate::files::NewFile;

@@ -7,36 +7,9 @@
 
 use evergraph_factors::{BetweenPose2, BetweenPose3};
 use evergraph_formats::G2oRotation;
-use evergraph_model::{Arguments, Factor, FactorId, Graph, LieGroup, Noise, Pose2, Pose3};
+use evergraph_model::{Arguments, Factor, Graph, LieGroup, Noise, Pose2, Pose3};
 
-/// What a map costs.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Objective {
-    /// `½ Σ ‖r‖²` over whitened residuals, after robust kernels `Σ ρ`.
-    pub error: f64,
-    /// `Σ ‖r‖²`, without kernels.
-    pub chi2: f64,
-}
-
-impl Objective {
-    /// Evaluates the factors that `include` names at `points`, which are laid out as
-    /// [`Graph::value_range`] says.
-    pub fn at(graph: &Graph, points: &[f64], mut include: impl FnMut(FactorId) -> bool) -> Self {
-        let mut sum = Self::default();
-        let mut residual = Vec::new();
-        for f in graph.factor_indices().filter(|&f| include(graph.factor_id(f))) {
-            let factor = graph.factor_at(f);
-            residual.clear();
-            residual.resize(graph.rows_at(f), 0.0);
-            with_arguments(graph, f, points, |at| factor.residual(at, &mut residual));
-            sum.error += factor.error(&residual);
-            sum.chi2 += squared_norm(&residual);
-        }
-        sum
-    }
-}
-
-/// g2o's chi2 of all factors at `points` (as in [`Objective::at`]), without kernels. `rotation` says
+/// g2o's chi2 of all factors at `points` (as in [`Objective::at`](evergraph_replay::Objective::at)), without kernels. `rotation` says
 /// how the file's 3D matrices were read, so that they count as they stand in the file.
 pub fn g2o_chi2(graph: &Graph, points: &[f64], rotation: G2oRotation) -> f64 {
     let of_factor = |f| {
@@ -99,7 +72,8 @@ fn with_arguments(
 
 #[cfg(test)]
 mod tests {
-    use evergraph_formats::{Document, Initial, ReadOptions};
+    use evergraph_formats::{Document, ReadOptions};
+    use evergraph_replay::Initial;
 
     use super::*;
     use crate::Start;

@@ -49,7 +49,6 @@
 mod absolute;
 mod alignment;
 mod association;
-mod audit;
 pub mod conventions;
 mod divergence;
 mod error;
@@ -64,8 +63,6 @@ mod statistics;
 pub use absolute::{AbsoluteError, PoseError};
 pub use alignment::{Aligned, Alignment, Similarity};
 pub use association::{Association, PosePair, PosePairs};
-pub use audit::{Audit, AuditSample};
-pub use conventions::Objective;
 pub use divergence::{Divergence, DivergenceError, Solved};
 pub use error::EvaluateError;
 pub use landmarks::LandmarkError;

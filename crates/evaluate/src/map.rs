@@ -4,11 +4,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use evergraph_formats::{
-    Coordinates, Document, Initial, ReadOptions, Record, Stamps, Trajectory, TrajectoryFormat,
+    Coordinates, Document, ReadOptions, Record, Stamps, Trajectory, TrajectoryFormat,
 };
 use evergraph_model::{Point2, Point3, Value};
+use evergraph_replay::Initial;
 
-use crate::{EvaluateError, Start};
+use crate::error::EvaluateError;
+use crate::start::Start;
 
 /// A map to be measured, or to measure by.
 #[derive(Clone, Debug, PartialEq)]

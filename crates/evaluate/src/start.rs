@@ -1,10 +1,11 @@
 //! What a file costs as it stands.
 
-use evergraph_formats::{Document, G2oRotation, Initial, Replay, ReplayOptions};
+use evergraph_formats::{Document, G2oRotation};
 use evergraph_model::{Graph, Value, VariableId};
+use evergraph_replay::{Initial, Objective, Replay, ReplayOptions};
 
-use crate::EvaluateError;
-use crate::conventions::{self, Objective};
+use crate::conventions;
+use crate::error::EvaluateError;
 
 /// The graph of a document at its start values, not solved and without gauge priors.
 #[derive(Debug)]

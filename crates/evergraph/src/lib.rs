@@ -67,44 +67,48 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
-mod audit;
-mod chordal;
-mod chordal_linear;
-mod optimum;
-mod overview;
-mod replayer;
-mod thinning;
-mod words;
-
+#[cfg(feature = "evaluate")]
 pub use evergraph_evaluate as evaluate;
 pub use evergraph_factors as factors;
+#[cfg(feature = "formats")]
 pub use evergraph_formats as formats;
+pub use evergraph_initialize as initialize;
+pub use evergraph_longterm as longterm;
 pub use evergraph_model as model;
 pub use evergraph_removal as removal;
+#[cfg(feature = "replay")]
+pub use evergraph_replay as replay;
+#[cfg(feature = "simulate")]
 pub use evergraph_simulate as simulate;
 pub use evergraph_solver as solver;
+pub use nalgebra;
 
-pub use chordal::chordal;
-pub use evergraph_evaluate::{Objective, Start, conventions};
+#[cfg(feature = "evaluate")]
+pub use evergraph_evaluate::{Start, conventions};
+pub use evergraph_longterm::{Needed, Rules, Thinned, Thinning, ThinningError};
 pub use evergraph_model::{Change, Factor, Graph, Values};
-pub use evergraph_solver::{Phase, Profile, Report, Settings, Smoother, SmootherError};
-pub use optimum::optimize_to_the_end;
-pub use overview::{Component, Overview};
-pub use replayer::{Replayed, Replayer, ReplayerError};
-pub use thinning::{Needed, Rules, Thinned, Thinning, ThinningError};
+#[cfg(feature = "replay")]
+pub use evergraph_replay::{
+    Component, Objective, Overview, Replayed, Replayer, ReplayerError, chordal,
+};
+pub use evergraph_solver::{
+    Phase, Profile, Report, Settings, Smoother, SmootherError, optimize_to_the_end,
+};
 
 /// What most programs need, in one line.
 pub mod prelude {
-    pub use crate::replayer::{Replayed, Replayer};
     pub use evergraph_factors::{
         Bearing2, Bearing3, BearingRange2, BearingRange3, BetweenPose2, BetweenPose3, Geodetic,
         GpsPosition2, GpsPosition3, LocalFrame, Prior, Range, RelativePosition2, RelativePosition3,
     };
-    pub use evergraph_formats::{Document, ReadOptions, ReplayOptions};
+    #[cfg(feature = "formats")]
+    pub use evergraph_formats::{Document, ReadOptions};
     pub use evergraph_model::{
         Change, Factor, Graph, Key, LieGroup, Manifold, Noise, Point2, Point3, Pose2, Pose3,
         Robust, Rot2, Rot3, Value, Values, VariableId, VectorN,
     };
+    #[cfg(feature = "replay")]
+    pub use evergraph_replay::{ReplayOptions, Replayed, Replayer};
     pub use evergraph_solver::{
         BatchReport, BatchSettings, Elimination, Method, Relinearization, Report, Settings,
         Smoother, SmootherError, Status,

@@ -283,7 +283,8 @@ impl Document {
         self.kinds.as_slice().to_vec()
     }
 
-    pub(crate) fn place(&self, line: usize) -> Place {
+    /// A line of the file, for messages.
+    pub fn place(&self, line: usize) -> Place {
         Place { file: Arc::clone(&self.name), line }
     }
 }

@@ -1,11 +1,11 @@
-//! Graph files: text to records, records to text, and records to the changes of a replay.
+//! Graph files: text to records, and records to text.
 //!
 //! Four families of files describe the same thing, poses that measure each other and landmarks, in
 //! different words and numbers: g2o, TORO (with HOG-Man), iSAM and PyFactorGraph. A [`Document`]
 //! keeps what a file says in the file's own numbers, so that writing the same family gives the same
 //! bits, and knows how to say it in another. It can also be made of a graph in memory
-//! ([`Document::from_graph`]). A [`Replay`] turns a document into the
-//! [`Change`](evergraph_model::Change)s that a robot would have made, step by step.
+//! ([`Document::from_graph`]). The crate `evergraph-replay` turns a document into the changes that a
+//! robot would have made, step by step.
 //!
 //! # Lines
 //!
@@ -105,12 +105,12 @@ mod kinds;
 mod matrix;
 mod measurement;
 mod names;
+mod noise;
 mod options;
 mod parse;
 mod read_line;
 mod reconcile;
 mod record;
-mod replay;
 mod tags;
 mod trajectory;
 mod weight;
@@ -123,7 +123,6 @@ pub use measurement::{LinearMeasurement, Measurement, Quantity};
 pub use names::{parse_id, spell_id};
 pub use options::{Dialect, G2oRotation, ReadOptions, WriteOptions};
 pub use record::{Coordinates, Kind, Line, Record};
-pub use replay::{GaugePrior, Initial, Replay, ReplayOptions, Step, StepKind};
 pub use trajectory::{Stamps, Trajectory, TrajectoryError, TrajectoryFormat};
 pub use weight::{Entries, EntryOrder, Weight, WeightKind};
 pub use write::Written;

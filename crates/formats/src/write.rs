@@ -5,14 +5,11 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-use evergraph_model::Graph;
-
 use crate::convert::Converter;
 use crate::document::Document;
 use crate::error::FormatError;
 use crate::options::{Dialect, WriteOptions};
 use crate::record::{Line, Record};
-use crate::replay::{Replay, ReplayOptions};
 use crate::tags::{ROBUST, Tag};
 use crate::write_line::push_line;
 
@@ -24,8 +21,6 @@ pub struct Written {
     /// Vertices that the target has no line for: an iSAM file has none, and its readers start from
     /// odometry.
     pub dropped_vertices: usize,
-    /// Vertices composed from the edges, for a TORO file, which is known by its vertices.
-    pub added_vertices: usize,
     /// Landmarks that got another id: iSAM numbers poses and landmarks apart, g2o does not. Those
     /// whose id a pose has, too, are numbered on from the largest id, in order.
     pub renumbered_landmarks: usize,
@@ -54,6 +49,7 @@ impl Document {
     /// [`FormatError::Unsupported`] for what the dialect cannot hold (landmarks in TORO, FIX outside
     /// g2o), [`FormatError::BadMeasurement`] for a matrix that cannot be converted,
     /// [`FormatError::NoName`] and [`FormatError::NameTaken`] where ids make no names,
+    /// [`FormatError::NoVertices`] where [`needs_vertices`](Self::needs_vertices) says so,
     /// [`FormatError::NothingToWrite`], [`FormatError::Write`].
     pub fn write(&self, out: &mut impl Write, dialect: Dialect) -> Result<Written, FormatError> {
         self.write_with(out, dialect, &WriteOptions::default())
@@ -69,12 +65,8 @@ impl Document {
         dialect: Dialect,
         options: &WriteOptions,
     ) -> Result<Written, FormatError> {
-        let is_bare = self.summary().vertices == 0 && self.summary().landmarks == 0;
-        if dialect == Dialect::Toro && self.dialect != Dialect::Toro && is_bare {
-            // Without vertices nothing would tell TORO's EDGE2 from iSAM's.
-            let complete = self.with_composed_vertices()?;
-            let written = complete.write_with(out, dialect, options)?;
-            return Ok(Written { added_vertices: complete.summary().vertices, ..written });
+        if self.needs_vertices(dialect) {
+            return Err(FormatError::NoVertices { file: self.name().into() });
         }
         let converter = Converter::new(self, dialect)?;
         let mut writer =
@@ -155,15 +147,11 @@ impl Document {
         matches!(first, Some(Record::Edge { .. }))
     }
 
-    /// The document with vertices composed from its edges.
-    fn with_composed_vertices(&self) -> Result<Self, FormatError> {
-        let options = ReplayOptions { prior: None, ..ReplayOptions::default() };
-        let mut replay = Replay::new(self, &options)?;
-        let mut change = Graph::new().change();
-        replay.everything(&mut change)?;
-        let values = change.new_variables().iter().map(|(_, value)| value.clone());
-        let ids: Vec<u64> = replay.ids().map(|(id, _)| id).collect();
-        self.with_vertices(ids.into_iter().zip(values))
+    /// Whether the document has to get vertices before it can be written as `dialect`: without them
+    /// nothing would tell TORO's EDGE2 from iSAM's. `evergraph_replay::with_start_vertices` composes them.
+    pub fn needs_vertices(&self, dialect: Dialect) -> bool {
+        let is_bare = self.summary().vertices == 0 && self.summary().landmarks == 0;
+        dialect == Dialect::Toro && self.dialect != Dialect::Toro && is_bare
     }
 }
 

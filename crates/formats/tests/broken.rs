@@ -302,8 +302,6 @@ fn printed_digits_explain_small_negative_eigenvalues() {
         let document = strict(text.as_bytes()).unwrap();
         assert_eq!(document.summary().clipped, 1, "{weight}");
         assert_eq!(document.summary().warnings().len(), 1);
-        evergraph_formats::Replay::new(&document, &evergraph_formats::ReplayOptions::default())
-            .unwrap();
     }
     // Singular, not negative: nothing to clip.
     let document = strict(b"EDGE_SE2 0 1 1 0 0 1 1 0 1 0 0\n").unwrap();

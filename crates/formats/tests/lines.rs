@@ -5,8 +5,8 @@ mod common;
 use std::collections::HashMap;
 
 use evergraph_formats::{
-    Coordinates, Dialect, Document, EntryOrder, FormatError, G2oRotation, Initial, ReadOptions,
-    Record, Replay, ReplayOptions, WeightKind, WriteOptions,
+    Coordinates, Dialect, Document, EntryOrder, FormatError, G2oRotation, ReadOptions, Record,
+    WeightKind, WriteOptions,
 };
 use evergraph_model::{Graph, Kernel, Pose2, Value};
 
@@ -200,9 +200,12 @@ fn half_angles_are_those_of_poses_only() {
 #[test]
 fn toro_files_have_vertices() {
     let isam = parse("EDGE2 0 1 1 2 0 2 1 0 2 0 3\n");
-    let mut out = Vec::new();
-    assert_eq!(isam.write(&mut out, Dialect::Toro).unwrap().added_vertices, 2);
-    let text = String::from_utf8(out).unwrap();
+    assert!(isam.needs_vertices(Dialect::Toro) && !isam.needs_vertices(Dialect::G2o));
+    let error = isam.write(&mut Vec::new(), Dialect::Toro).unwrap_err();
+    assert!(matches!(error, FormatError::NoVertices { .. }), "{error}");
+    let at = |x, y| Value::new(&Pose2::new(x, y, 0.0));
+    let placed = isam.with_vertices([(0, at(0.0, 0.0)), (1, at(1.0, 2.0))]).unwrap();
+    let text = written(&placed, Dialect::Toro);
     assert_eq!(text, "VERTEX2 0 0 0 0\nVERTEX2 1 1 2 0\nEDGE2 0 1 1 2 0 4 2 5 9 0 0\n");
     assert_eq!(parse(&text).dialect(), Dialect::Toro);
 }
@@ -274,131 +277,4 @@ fn estimates_keep_the_place_of_vertices() {
     assert!(
         bare.with_vertices([(5, Value::new(&evergraph_model::Point2::new(0.0, 0.0)))]).is_err()
     );
-}
-
-#[test]
-fn the_gauge_is_held_once_for_each_component_or_where_fix_says() {
-    let edges = "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 1 2 1 0 0 1 0 0 1 0 1\nEDGE_SE2 7 8 1 0 0 1 0 0 1 0 1\n";
-    let priors = |text: &str, options: &ReplayOptions| {
-        let mut replay = Replay::new(&parse(text), options).unwrap();
-        let step = replay.everything(&mut Graph::new().change()).unwrap();
-        assert_eq!(step.gauge_priors, replay.gauge_priors());
-        assert!(step.gauge_priors.iter().all(|p| replay.factors().iter().all(|f| f.0 != p.factor)));
-        step.gauge_priors.iter().map(|p| (p.id, p.fixed)).collect::<Vec<_>>()
-    };
-    let default = ReplayOptions::default();
-    assert_eq!(priors(edges, &default), [(0, false), (7, false)]);
-    assert_eq!(priors(&format!("{edges}FIX 2\n"), &default), [(2, true), (7, false)]);
-    assert_eq!(priors(&format!("{edges}FIX 1 8 2\n"), &default), [(1, true), (2, true), (8, true)]);
-    assert_eq!(priors(edges, &ReplayOptions { prior: None, ..default }), []);
-    for sigma in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        let options = ReplayOptions { prior: Some(sigma), ..default };
-        assert!(matches!(
-            Replay::new(&parse(edges), &options),
-            Err(FormatError::BadSetting { .. })
-        ));
-    }
-}
-
-#[test]
-fn kernels_wrap_the_factors_of_the_file_only() {
-    let document = parse("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n");
-    let options =
-        ReplayOptions { kernel: Some(Kernel::huber(1.0).unwrap()), ..ReplayOptions::default() };
-    let mut replay = Replay::new(&document, &options).unwrap();
-    let mut change = Graph::new().change();
-    replay.everything(&mut change).unwrap();
-    let names: Vec<String> = change.new_factors().iter().map(|(_, factor)| factor.name()).collect();
-    assert_eq!(names, ["Prior<Pose2>", "Robust<Between<Pose2>, Huber>"]);
-}
-
-/// What `remove` wrote from a graph under a kernel means the same when the kernel is asked for again.
-#[test]
-fn kernels_are_not_put_around_factors_that_have_one_or_are_sums() {
-    let lines = [
-        "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1",
-        "ROBUST pseudo_huber 2 EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1",
-        "FACTOR_LINEAR none 2 SE2 0 0 0 0 SE2 1 1 0 0 1 1 0 0 -1 0 0 0 0 0 0 0 0",
-        "ROBUST huber 3 FACTOR_LINEAR none 2 SE2 0 0 0 0 SE2 1 1 0 0 1 1 0 0 -1 0 0 0 0 0 0 0 0",
-        "EDGE_PRIOR_SE2 0 0 0 0 1 0 0 1 0 1",
-    ];
-    let document = parse(&lines.join("\n"));
-    let options =
-        ReplayOptions { kernel: Some(Kernel::huber(1.0).unwrap()), ..ReplayOptions::default() };
-    let mut replay = Replay::new(&document, &options).unwrap();
-    let mut change = Graph::new().change();
-    replay.everything(&mut change).unwrap();
-    let lines: HashMap<_, _> = replay.factors().iter().copied().collect();
-    let factors = change.new_factors().iter();
-    let mut names: Vec<(usize, String)> =
-        factors.filter_map(|(id, factor)| Some((*lines.get(id)?, factor.name()))).collect();
-    names.sort_unstable();
-    let expected = [
-        (1, "Robust<Between<Pose2>, Huber>"),
-        (2, "Robust<Between<Pose2>, PseudoHuber>"),
-        (3, "Linear"),
-        (4, "Robust<Linear, Huber>"),
-        (5, "Prior<Pose2>"),
-    ];
-    assert_eq!(names, expected.map(|(line, name)| (line, name.to_string())));
-}
-
-#[test]
-fn start_values_follow_the_estimate_in_either_direction() {
-    let document =
-        parse("VERTEX_SE2 0 3 0 0\nVERTEX_SE2 1 9 9 9\nEDGE_SE2 1 0 -1 0 0 1 0 0 1 0 1\n");
-    let mut replay = Replay::new(&document, &ReplayOptions::default()).unwrap();
-    let mut graph = Graph::new();
-    let mut change = graph.change();
-    replay.next_step(&mut change, &mut |_| None).unwrap().unwrap();
-    assert_eq!(
-        change.new_variables()[0].1.get::<Pose2>().unwrap().x(),
-        3.0,
-        "the first pose is at its vertex"
-    );
-    let staged = graph.stage(&change).unwrap();
-    graph.commit(staged);
-    let mut change = graph.change();
-    let moved = Value::new(&Pose2::new(10.0, 0.0, 0.0));
-    replay.next_step(&mut change, &mut |_| Some(moved.clone())).unwrap().unwrap();
-    assert_eq!(change.new_variables()[0].1.get::<Pose2>().unwrap().x(), 11.0);
-
-    let options = ReplayOptions { initial: Initial::FromFile, ..ReplayOptions::default() };
-    let mut change = Graph::new().change();
-    Replay::new(&document, &options).unwrap().everything(&mut change).unwrap();
-    assert_eq!(change.new_variables()[1].1.get::<Pose2>().unwrap().x(), 9.0);
-
-    let mut replay = Replay::new(&document, &ReplayOptions::default()).unwrap();
-    let mut change = Graph::new().change();
-    replay.next_step(&mut change, &mut |_| None).unwrap().unwrap();
-    let error = replay.next_step(&mut change, &mut |_| None).unwrap().unwrap_err();
-    assert!(matches!(error, FormatError::NoEstimate { id: 1, .. }), "{error}");
-    assert!(replay.next_step(&mut change, &mut |_| None).is_none());
-}
-
-#[test]
-fn poses_wait_until_something_connects_them() {
-    // 2 and 1 hang together, but only 3 ties them to 0.
-    let edge = |i: u64, j: u64| format!("EDGE_SE2 {i} {j} 1 0 0 1 0 0 1 0 1\n");
-    let text = edge(1, 2) + &edge(3, 2) + &edge(0, 3) + &edge(4, 3);
-    let mut replay = Replay::new(&parse(&text), &ReplayOptions::default()).unwrap();
-    replay.everything(&mut Graph::new().change()).unwrap();
-    assert_eq!(replay.ids().map(|(id, _)| id).collect::<Vec<_>>(), [0, 3, 2, 1, 4]);
-
-    // The same in time order: 1 starts, being in the first line.
-    let isam = text.replace("EDGE_SE2", "EDGE2");
-    let mut replay = Replay::new(&parse(&isam), &ReplayOptions::default()).unwrap();
-    replay.everything(&mut Graph::new().change()).unwrap();
-    assert_eq!(replay.ids().map(|(id, _)| id).collect::<Vec<_>>(), [1, 2, 3, 0, 4]);
-}
-
-#[test]
-fn parts_that_only_landmarks_tie_come_last() {
-    let text = "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 5 6 1 0 0 1 0 0 1 0 1\nEDGE_SE2_XY 1 9 1 0 1 0 1\n\
-                EDGE_SE2_XY 6 9 1 0 1 0 1\nEDGE_SE2_XY 5 8 1 0 1 0 1\n";
-    let mut replay = Replay::new(&parse(text), &ReplayOptions::default()).unwrap();
-    assert_eq!(replay.len(), 3);
-    let step = replay.everything(&mut Graph::new().change()).unwrap();
-    assert_eq!((step.factors, step.variables, step.gauge_priors.len()), (5, 6, 1));
-    assert_eq!(replay.ids().map(|(id, _)| id).collect::<Vec<_>>(), [0, 1, 9, 5, 8, 6]);
 }

@@ -152,6 +152,10 @@ fn graphs_survive_a_detour_through_another_dialect() {
                     assert_eq!(dialect, detour);
                     continue;
                 }
+                Err(FormatError::NoVertices { .. }) => {
+                    assert_eq!((document.summary().vertices, detour), (0, Dialect::Toro));
+                    continue;
+                }
                 Err(FormatError::NothingToWrite { .. }) => {
                     assert_eq!(document.summary().pose_edges, 0);
                     continue;

@@ -1,7 +1,8 @@
 //! What holds a map in the world.
 
-use evergraph::formats::{Initial, Quantity, Record, ReplayOptions};
+use evergraph::formats::{Quantity, Record};
 use evergraph::model::{Pose2, Pose3, Rot3};
+use evergraph::replay::{Initial, ReplayOptions};
 
 use crate::world::World;
 
@@ -125,7 +126,7 @@ fn without_priors_none_is_added() {
     world.drive2(0..5, Pose2::new(1.0, 2.0, 3.0), 0.2);
     world.position(0);
     let options = ReplayOptions { prior: None, ..ReplayOptions::default() };
-    let mut replay = evergraph::formats::Replay::new(&world.document(), &options).unwrap();
+    let mut replay = evergraph::replay::Replay::new(&world.document(), &options).unwrap();
     let step = replay.everything(&mut evergraph::Graph::new().change()).unwrap();
     assert!(step.gauge_priors.is_empty() && replay.gauge_priors().is_empty());
 }

@@ -1,8 +1,8 @@
 //! Landmarks that no single sighting places.
 
 use evergraph::Replayer;
-use evergraph::formats::{Initial, ReplayOptions, StepKind};
 use evergraph::model::{LieGroup, Point3, Pose2, Pose3};
+use evergraph::replay::{Initial, ReplayOptions, StepKind};
 use evergraph::solver::Settings;
 
 use crate::world::{Truth, World};

@@ -2,8 +2,9 @@
 
 use evergraph::Graph;
 use evergraph::factors::RootShift;
-use evergraph::formats::{Initial, LinearMeasurement, Quantity, Record, Replay, ReplayOptions};
+use evergraph::formats::{LinearMeasurement, Quantity, Record};
 use evergraph::model::{Kernel, LieGroup, Point2, Point3, Pose2, Pose3, Rot3};
+use evergraph::replay::{Initial, Replay, ReplayOptions};
 
 use crate::world::{Truth, World, sigma};
 

@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 
 use evergraph::formats::{
-    Coordinates, Dialect, Document, EntryOrder, Initial, Kind, Line, Measurement, Quantity, Record,
-    ReplayOptions, Weight, WeightKind,
+    Coordinates, Dialect, Document, EntryOrder, Kind, Line, Measurement, Quantity, Record, Weight,
+    WeightKind,
 };
 use evergraph::model::{LieGroup, Point2, Point3, Pose2, Pose3, Rot3, Value};
+use evergraph::replay::{Initial, ReplayOptions};
 use evergraph::solver::BatchSettings;
 use evergraph::{Replayer, Settings};
 

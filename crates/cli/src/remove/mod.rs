@@ -2,7 +2,7 @@
 
 mod arguments;
 mod document;
-mod told;
+mod summary;
 
 use std::time::Instant;
 
@@ -14,7 +14,7 @@ use evergraph::{Replayer, Rules, Thinning, optimize_to_the_end};
 use serde_json::{Map, json};
 
 use self::document::reduced_document;
-use self::told::Told;
+use self::summary::Summary;
 use crate::convert;
 use crate::error::Error;
 use crate::files;
@@ -81,14 +81,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         divergence: divergence.map_err(|error| incomparable(&replayer, error))?,
     };
 
-    let told = Told::of(&thinning, &replayer);
+    let summary = Summary::of(&thinning, &replayer);
     let mut report = Map::new();
     let dataset = report::file_name(&arguments.file);
     report.insert("schema".into(), json!(SCHEMA));
     report.insert("command".into(), json!("remove"));
     report.insert("dataset".into(), json!(dataset));
     report.insert("settings".into(), arguments.json(&settings)?);
-    told.add_to(&mut report);
+    summary.add_to(&mut report);
     reduction.add_to(&mut report);
     report.insert("first_optimization".into(), serde_json::to_value(first)?);
     report.insert("optimization".into(), serde_json::to_value(batch)?);
@@ -99,7 +99,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     warn_of_ends(&[("reduced", &batch)], output);
 
     let mut rows = Rows::new("data set", &dataset);
-    told.show(&mut rows);
+    summary.show(&mut rows);
     reduction.show(&mut rows);
     rows.add("optimized again", reduction::ended(&batch));
     rows.add("total time", milliseconds(1e3 * begun.elapsed().as_secs_f64()));
@@ -112,7 +112,7 @@ fn start(
     arguments: &Arguments,
 ) -> Result<(Candidates, Option<BatchReport>), Error> {
     replayer.everything()?;
-    // A list that makes no sense is told before the work.
+    // A list that makes no sense is summary before the work.
     let nodes = arguments.choice.candidates(replayer)?;
     if arguments.no_optimize {
         return Ok((nodes, None));

@@ -4,7 +4,7 @@ mod matrices;
 
 use std::collections::HashMap;
 
-use evergraph_model::{Point3, Pose3, Rot3};
+use evergraph_model::{Point2, Point3, Pose2, Pose3, Rot3, Value};
 use nalgebra::DMatrix;
 
 use crate::check;
@@ -14,6 +14,19 @@ use crate::measurement::{Measurement, Quantity};
 use crate::names;
 use crate::options::{Dialect, G2oRotation};
 use crate::record::{Coordinates, Kind, Line, Record};
+
+impl Coordinates {
+    /// The pose or point that the coordinates name; `None` for a quaternion of length zero, which no
+    /// document holds.
+    pub fn value(&self) -> Option<Value> {
+        Some(match *self {
+            Self::Pose2([x, y, theta]) => Value::new(&Pose2::new(x, y, theta)),
+            Self::Point2([x, y]) => Value::new(&Point2::new(x, y)),
+            Self::Point3([x, y, z]) => Value::new(&Point3::new(x, y, z)),
+            Self::Pose3Quaternion(_) | Self::Pose3Euler(_) => Value::new(&pose3(self)?),
+        })
+    }
+}
 
 /// The pose that 3D coordinates name; `None` for other coordinates.
 pub(crate) fn pose3(at: &Coordinates) -> Option<Pose3> {

@@ -393,6 +393,14 @@ pub enum FormatError {
         /// The file.
         file: Arc<str>,
     },
+    /// A TORO file is known by its vertices, and the document has none.
+    #[error(
+        "{file}: has no vertices, by which a TORO file is known; compose them from its edges first"
+    )]
+    NoVertices {
+        /// The file.
+        file: Arc<str>,
+    },
     /// A setting has no meaning.
     #[error("the {setting} is {value}, but has to be {demand}")]
     BadSetting {
