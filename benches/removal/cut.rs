@@ -93,13 +93,8 @@ impl Cut {
         optimize_to_the_end(reduced.smoother_mut())?;
         let variable: HashMap<u64, VariableId> = reduced.replay().ids().collect();
         let nodes: Vec<VariableId> = self.nodes.iter().map(|id| variable[id]).collect();
-        let rules = Rules {
-            order: Order::Given,
-            at_most: nodes.len(),
-            options: *options,
-            spared: &gauge(&reduced),
-            prices: false,
-        };
+        let spared = gauge(&reduced);
+        let rules = Rules::default().with_options(*options).sparing(&spared);
         let removed = Thinning::run(reduced.smoother_mut(), &nodes, &rules, || ());
         let seconds = || begun.elapsed().as_secs_f64();
         if let Err(error) = removed {

@@ -148,7 +148,11 @@ fn try_one(
         Topology::Dense => Options { largest_blanket: LARGEST_DENSE, ..Options::dense() },
         Topology::ChowLiu => Options::default(),
     };
-    let rules = Rules { order: variant.order, at_most: count, options, spared, prices: false };
+    let rules = Rules::default()
+        .with_order(variant.order)
+        .with_limit(count)
+        .with_options(options)
+        .sparing(spared);
     let mut smoother = full.clone();
     let mut outcome = Outcome {
         needed: Vec::new(),

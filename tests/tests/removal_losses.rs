@@ -38,7 +38,12 @@ impl Full {
         prices: bool,
     ) -> (Smoother, Thinning) {
         let at_most = self.nodes.len() * percent / 100;
-        let rules = Rules { order, at_most, options, spared: &self.gauge, prices };
+        let rules = Rules::default()
+            .with_order(order)
+            .with_limit(at_most)
+            .with_options(options)
+            .sparing(&self.gauge)
+            .with_prices(prices);
         let mut smoother = self.smoother.clone();
         let thinning = Thinning::run(&mut smoother, &self.nodes, &rules, || ()).unwrap();
         assert_eq!(thinning.removed.len(), at_most, "stayed: {:?}", thinning.kept);

@@ -85,7 +85,7 @@ pub use nalgebra;
 
 #[cfg(feature = "evaluate")]
 pub use evergraph_evaluate::{Start, conventions};
-pub use evergraph_longterm::{Needed, Rules, Thinned, Thinning, ThinningError};
+pub use evergraph_longterm::{Needed, Rules, Thinned, Thinning, ThinningError, ThinningFailure};
 pub use evergraph_model::{Change, Factor, Graph, Values};
 #[cfg(feature = "replay")]
 pub use evergraph_replay::{

@@ -3,13 +3,15 @@
 use std::marker::PhantomData;
 use std::sync::Arc;
 
-use evergraph_model::{Factor, Manifold, Point2, Point3, Value, VariableId};
+use evergraph_model::{
+    Factor, LinearizedFactor, Manifold, Point2, Point3, Value, ValueRef, VariableId,
+};
 use nalgebra::Vector3;
 use smallvec::SmallVec;
 
 use crate::geometry::Geometry;
 use crate::hint::Hint;
-use crate::minimize::{Linearized, Quadratic, minimize};
+use crate::minimize::{Quadratic, minimize};
 use crate::rigid::sample;
 
 /// Largest standard deviation of a landmark, as a share of the distance to the nearest
@@ -261,12 +263,17 @@ impl<'a, L: Landmark> Problem<'a, L> {
     fn quadratic(&self, at: &Vector3<f64>) -> Quadratic {
         let mut sum = Quadratic::zeros(self.dim());
         let value = Value::new(&L::at(at));
-        let mut linearized = Linearized::default();
+        let mut linearized = LinearizedFactor::default();
         for sight in &self.sights {
-            let mut values: SmallVec<[&Value; 2]> = sight.values.iter().collect();
-            values[sight.landmark] = &value;
-            linearized.set(&sight.factor, &values);
-            sum.add(&linearized.block(sight.landmark).into_owned(), &linearized);
+            let mut values: SmallVec<[ValueRef<'_>; 2]> =
+                sight.values.iter().map(Value::as_ref).collect();
+            values[sight.landmark] = value.as_ref();
+            match linearized.set(&*sight.factor, &values) {
+                Ok(()) => {
+                    sum.add(&linearized.jacobian(sight.landmark).into_owned(), &linearized);
+                }
+                Err(_) => sum.spoil(),
+            }
         }
         sum
     }

@@ -1,54 +1,7 @@
 //! Least squares on a few unknowns, of factors at values that no graph holds.
 
-use std::sync::Arc;
-
-use evergraph_model::{Arguments, Factor, Linearization, Value};
-use nalgebra::{DMatrix, DMatrixView, DVector, DVectorView};
-use smallvec::SmallVec;
-
-/// A factor linearized: `[J₁ … Jₖ | r]` and its error.
-#[derive(Default)]
-pub(crate) struct Linearized {
-    rows: usize,
-    columns: SmallVec<[u32; 4]>,
-    data: Vec<f64>,
-    pub error: f64,
-}
-
-impl Linearized {
-    /// Linearizes at `values`, over what was there before.
-    pub fn set(&mut self, factor: &Arc<dyn Factor>, values: &[&Value]) {
-        self.rows = factor.residual_dim();
-        self.columns.clear();
-        self.columns.push(0);
-        let mut width = 0;
-        for value in values {
-            width += value.dim();
-            self.columns.push(u32::try_from(width).expect("a factor has not 2^32 columns"));
-        }
-        self.data.clear();
-        self.data.resize(self.rows * (width + 1), 0.0);
-        let storages: SmallVec<[&[f64]; 4]> = values.iter().map(|value| value.storage()).collect();
-        let at = Arguments::new(&storages);
-        factor.residual(&at, &mut self.data[..self.rows]);
-        self.error = factor.error(&self.data[..self.rows]);
-        self.data[..self.rows].fill(0.0);
-        let mut out = Linearization::new(self.rows, &self.columns, &mut self.data);
-        factor.linearize(&at, &mut out);
-    }
-
-    /// The Jacobian block of the variable at a position.
-    pub fn block(&self, position: usize) -> DMatrixView<'_, f64> {
-        let (from, to) = (self.columns[position] as usize, self.columns[position + 1] as usize);
-        let entries = &self.data[from * self.rows..to * self.rows];
-        DMatrixView::from_slice(entries, self.rows, to - from)
-    }
-
-    /// The whitened residual, as the Jacobian is scaled by a kernel.
-    pub fn residual(&self) -> DVectorView<'_, f64> {
-        DVectorView::from_slice(&self.data[self.data.len() - self.rows..], self.rows)
-    }
-}
+use evergraph_model::LinearizedFactor;
+use nalgebra::{DMatrix, DVector};
 
 /// `½ Σ‖r‖²` to second order: `JᵀJ`, `Jᵀr` and the error.
 #[derive(Clone, Debug)]
@@ -64,10 +17,15 @@ impl Quadratic {
     }
 
     /// Adds a factor whose derivative by the unknowns is `jacobian`.
-    pub fn add(&mut self, jacobian: &DMatrix<f64>, linearized: &Linearized) {
+    pub fn add(&mut self, jacobian: &DMatrix<f64>, linearized: &LinearizedFactor) {
         self.information.gemm_tr(1.0, jacobian, jacobian, 1.0);
         self.gradient.gemv_tr(1.0, jacobian, &linearized.residual(), 1.0);
-        self.error += linearized.error;
+        self.error += linearized.error();
+    }
+
+    /// Notes a factor that cannot be evaluated: no point is an optimum then.
+    pub fn spoil(&mut self) {
+        self.error = f64::NAN;
     }
 
     /// The damped step, `(JᵀJ + λ D) d = -Jᵀr` with `D` the diagonal, of which each entry is at

@@ -2,13 +2,16 @@
 
 use std::sync::Arc;
 
-use evergraph_model::{Factor, LieGroup, Point2, Point3, Pose2, Pose3, Rot3, Value, VariableId};
+use evergraph_model::{
+    Factor, LieGroup, LinearizedFactor, Point2, Point3, Pose2, Pose3, Rot3, Value, ValueRef,
+    VariableId,
+};
 use nalgebra::{DMatrix, DVector, Vector3};
 use smallvec::SmallVec;
 
 use crate::gauge::{Gauge, scales};
 use crate::geometry::Geometry;
-use crate::minimize::{Linearized, Quadratic, minimize};
+use crate::minimize::{Quadratic, minimize};
 
 /// A factor on a [`Body`]: its variables, and which of them move with the body.
 #[derive(Clone, Debug)]
@@ -185,7 +188,7 @@ impl Body {
 
     fn at(&self, ties: &[&Tie], motion: &Geometry) -> Quadratic {
         let mut sum = Quadratic::zeros(self.dim());
-        let mut linearized = Linearized::default();
+        let mut linearized = LinearizedFactor::default();
         let center = self.center_at(motion);
         for tie in ties {
             let places: SmallVec<[Geometry; 2]> = tie
@@ -194,12 +197,15 @@ impl Body {
                 .map(|(at, moves)| at.moved(motion).filter(|_| *moves).unwrap_or(*at))
                 .collect();
             let values: SmallVec<[Value; 2]> = places.iter().map(Geometry::value).collect();
-            let values: SmallVec<[&Value; 2]> = values.iter().collect();
-            linearized.set(&tie.factor, &values);
+            let values: SmallVec<[ValueRef<'_>; 2]> = values.iter().map(Value::as_ref).collect();
+            if linearized.set(&*tie.factor, &values).is_err() {
+                sum.spoil();
+                continue;
+            }
             let mut jacobian = DMatrix::zeros(tie.factor.residual_dim(), self.dim());
             for (position, (place, (_, moves))) in places.iter().zip(&tie.ends).enumerate() {
                 if *moves {
-                    jacobian += linearized.block(position) * place.by_world_motion(&center);
+                    jacobian += linearized.jacobian(position) * place.by_world_motion(&center);
                 }
             }
             sum.add(&jacobian, &linearized);

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use evergraph_factors::{BetweenPose2, Prior, RelativePosition2};
-use evergraph_longterm::{Rules, Thinning, ThinningError};
+use evergraph_longterm::{Rules, Thinning, ThinningFailure};
 use evergraph_model::{GraphError, Key, LieGroup, Noise, Point2, Pose2, VariableId};
 use evergraph_removal::{Options, Order, Recovery, RemovalError};
 use evergraph_solver::{BatchSettings, Settings, Smoother};
@@ -35,7 +35,7 @@ fn world(threads: usize) -> (Smoother, Vec<VariableId>) {
 }
 
 fn rules(order: Order, options: Options) -> Rules<'static> {
-    Rules { order, at_most: usize::MAX, options, spared: &[], prices: true }
+    Rules::default().with_order(order).with_options(options).with_prices(true)
 }
 
 fn run(order: Order, options: Options, threads: usize) -> (Thinning, Smoother) {
@@ -88,23 +88,28 @@ fn threads_do_not_show() {
     }
 }
 
+/// The first can be composed; those that see the landmark cannot.
 #[test]
-fn a_refusal_leaves_everything_as_it_was() {
-    let (mut smoother, poses) = world(1);
-    let before = smoother.fingerprint();
-    // The first can be composed; those that see the landmark cannot.
+fn a_refusal_ends_with_what_was_done_before_it() {
     let options = Options { recovery: Recovery::Composition, ..Options::default() };
     let rules = rules(Order::Given, options);
+    let (mut expected, poses) = world(1);
+    Thinning::run(&mut expected, &[poses[5]], &rules, || ()).unwrap();
+
+    let (mut smoother, poses) = world(1);
     let mut done = 0;
-    let error = Thinning::run(&mut smoother, &[poses[5], poses[30]], &rules, || done += 1);
-    let error = error.unwrap_err();
-    assert!(
-        matches!(error, ThinningError::Removal(RemovalError::NotComposable { removed, .. }) if removed == poses[30]),
-        "{error}"
-    );
-    assert_eq!((done, smoother.fingerprint()), (1, before));
-    // It goes on as before.
-    Thinning::run(&mut smoother, &[poses[5]], &rules, || ()).unwrap();
+    let nodes = [poses[5], poses[30], poses[7]];
+    let error = Thinning::run(&mut smoother, &nodes, &rules, || done += 1).unwrap_err();
+    let ThinningFailure::Removal(RemovalError::NotComposable { removed, .. }) = &error.failure
+    else {
+        panic!("{error}");
+    };
+    assert_eq!(*removed, poses[30]);
+    assert_eq!((done, error.done.removed.len()), (1, 1));
+    assert_eq!(error.done.removed[0].variable, poses[5]);
+    assert_eq!(smoother.fingerprint(), expected.fingerprint());
+    // It goes on from there.
+    Thinning::run(&mut smoother, &[poses[7]], &rules, || ()).unwrap();
 }
 
 #[test]
@@ -115,8 +120,8 @@ fn what_makes_no_sense_is_refused() {
     let before = smoother.fingerprint();
     let mut refused = |nodes: &[VariableId]| {
         let rules = rules(Order::Given, Options::default());
-        match Thinning::run(&mut smoother, nodes, &rules, || ()).unwrap_err() {
-            ThinningError::Removal(error) => error,
+        match Thinning::run(&mut smoother, nodes, &rules, || ()).unwrap_err().failure {
+            ThinningFailure::Removal(error) => error,
             other => panic!("{other}"),
         }
     };
@@ -137,7 +142,7 @@ fn what_makes_no_sense_is_refused() {
 fn a_limit_leaves_the_rest_to_the_order() {
     let at_most = |order, at_most| {
         let (mut smoother, poses) = world(1);
-        let rules = Rules { at_most, ..rules(order, Options::default()) };
+        let rules = rules(order, Options::default()).with_limit(at_most);
         let mut done = 0;
         let thinning = Thinning::run(&mut smoother, &poses[1..], &rules, || done += 1).unwrap();
         assert_eq!((thinning.removed.len(), done), (at_most, at_most));

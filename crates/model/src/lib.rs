@@ -33,7 +33,9 @@
 #![deny(missing_docs)]
 
 mod arguments;
+pub mod belief;
 mod change;
+mod evaluate;
 mod factor;
 pub mod geometry;
 mod graph;
@@ -47,6 +49,7 @@ mod value;
 
 pub use arguments::{Arguments, Linearization};
 pub use change::Change;
+pub use evaluate::{EvaluationError, LinearizedFactor, linearize_at};
 pub use factor::Factor;
 pub use geometry::{Point2, Point3, Pose2, Pose3, Rot2, Rot3, VectorN};
 pub use graph::{Graph, GraphError, Staged};

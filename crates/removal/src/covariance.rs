@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::motion::carried;
-use crate::qr::{triangle, upper_inverse};
+use crate::rank_qr::{triangle, upper_inverse};
 use crate::target::Target;
 
 /// Pivots below this share of their column's norm make an inverse that has lost half of the digits

@@ -3,6 +3,8 @@
 use evergraph_factors::RootShift;
 use serde::{Deserialize, Serialize};
 
+use crate::error::RemovalError;
+
 /// Which of the blanket's variables the new factors join.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -189,6 +191,35 @@ impl Options {
             mutual_information: MutualInformation::LogDetPlusIdentity,
             rank: Rank::Absolute(1e-8),
             ..Self::default()
+        }
+    }
+
+    /// Refuses values without meaning.
+    pub(crate) fn check(&self) -> Result<(), RemovalError> {
+        let refuse =
+            |option, value, expected| Err(RemovalError::Option { option, value, expected });
+        if !(0.0..=1.0).contains(&self.least_weight) {
+            return refuse("least_weight", self.least_weight, "from 0 to 1");
+        }
+        if (self.topology, self.recovery) == (Topology::Dense, Recovery::Composition) {
+            return Err(RemovalError::DenseComposition);
+        }
+        if self.linear_within.is_nan() || self.linear_within < 0.0 {
+            return refuse("linear_within", self.linear_within, "not negative");
+        }
+        let guard = &self.guard;
+        for (option, value) in
+            [("guard.rotation", guard.rotation), ("guard.mahalanobis", guard.mahalanobis)]
+        {
+            if value.is_nan() || value <= 0.0 {
+                return refuse(option, value, "positive; infinity switches it off");
+            }
+        }
+        match self.rank {
+            Rank::Absolute(tolerance) if !(tolerance >= 0.0 && tolerance.is_finite()) => {
+                refuse("rank", tolerance, "finite and not negative")
+            }
+            _ => Ok(()),
         }
     }
 }

@@ -8,7 +8,7 @@ use smallvec::{SmallVec, smallvec};
 use crate::covariance::{CovarianceRoot, information_root};
 use crate::motion::{carried, pose_of};
 use crate::options::Recovery;
-use crate::qr::{back_substitute, echelon, forward_substitute};
+use crate::rank_qr::{back_substitute, echelon, forward_substitute};
 use crate::target::Target;
 use crate::topology::Tree;
 
@@ -30,7 +30,7 @@ impl Potential {
         // The first pose is the root of a root shift; a held one, whose column then vanishes, is
         // that already.
         let root = (target.held.iter().flatten().copied().next()).or_else(|| {
-            let is_pose = |m: &crate::neighborhood::Member| pose_of(m.value.kind()).is_some();
+            let is_pose = |m: &crate::member::Member| pose_of(m.value.kind()).is_some();
             target.members.iter().position(is_pose)
         });
         let others = (0..target.members.len()).filter(|&k| Some(k) != root);

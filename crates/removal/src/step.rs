@@ -7,12 +7,13 @@ use std::sync::Arc;
 
 use crate::covariance::CovarianceRoot;
 use crate::error::{MakeError, RemovalError};
+use crate::member::Member;
 use crate::motion::{carried, rotation_part};
-use crate::neighborhood::{Member, Neighborhood, Read};
+use crate::neighborhood::{Neighborhood, Read};
 use crate::options::{Offset, Options, Recovery, Topology};
 use crate::overlay::{Overlay, Source};
 use crate::potential::{Potential, Sum};
-use crate::qr::triangle;
+use crate::rank_qr::triangle;
 use crate::recover::{self, Made, composition};
 use crate::target::Target;
 use crate::topology::Tree;

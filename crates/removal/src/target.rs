@@ -5,9 +5,10 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::member::Member;
 use crate::motion::{WORLDS, World, carried, pose_of, world_of};
-use crate::neighborhood::{Member, Neighborhood};
-use crate::qr::{RANK_TOLERANCE, back_substitute, column_norms, echelon};
+use crate::neighborhood::Neighborhood;
+use crate::rank_qr::{RANK_TOLERANCE, back_substitute, column_norms, echelon};
 
 /// The square root `[R_t | d_t]` of the target (section II-A of the GLC paper; equations 12 and 13
 /// of the laser paper):

@@ -8,7 +8,7 @@ use nalgebra::DMatrix;
 use crate::covariance::{CovarianceRoot, information_root};
 use crate::motion::{World, pose_of};
 use crate::options::MutualInformation;
-use crate::qr::{half_log_det, triangle, upper_inverse};
+use crate::rank_qr::{half_log_det, triangle, upper_inverse};
 use crate::target::Target;
 
 /// A spanning tree of the blanket.

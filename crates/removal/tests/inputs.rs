@@ -6,7 +6,7 @@ mod common;
 
 use common::*;
 use evergraph_model::{GraphError, Value, Values, VariableId};
-use evergraph_removal::{Estimates, Linearized, Options, Order, Removal, RemovalError};
+use evergraph_removal::{Estimates, LinearizedEstimate, Options, Order, Removal, RemovalError};
 use evergraph_solver::Smoother;
 use nalgebra::DMatrix;
 
@@ -59,12 +59,15 @@ fn estimates_that_are_too_few_are_refused() {
 /// Linearization points and steps of one's own.
 struct Steps<F>(Smoother, F);
 
-impl<F: Fn(&mut Vec<Linearized>)> Estimates for Steps<F> {
+impl<F: Fn(&mut Vec<LinearizedEstimate>)> Estimates for Steps<F> {
     fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
         Estimates::estimate(&self.0, variable)
     }
 
-    fn linearized(&self, variables: &[VariableId]) -> Result<Option<Vec<Linearized>>, GraphError> {
+    fn linearized(
+        &self,
+        variables: &[VariableId],
+    ) -> Result<Option<Vec<LinearizedEstimate>>, GraphError> {
         let found = self.0.linearized(variables)?;
         Ok(found.map(|mut found| {
             self.1(&mut found);
@@ -76,7 +79,7 @@ impl<F: Fn(&mut Vec<Linearized>)> Estimates for Steps<F> {
 #[test]
 fn steps_that_are_none_are_refused() {
     let (smoother, keys) = chain(4);
-    let plan = |spoil: fn(&mut Vec<Linearized>), options| {
+    let plan = |spoil: fn(&mut Vec<LinearizedEstimate>), options| {
         let steps = Steps(smoother.clone(), spoil);
         // The ids of a clone are its own.
         Removal::new(steps.0.graph(), &steps).with_options(options).plan(keys[1])
@@ -89,7 +92,7 @@ fn steps_that_are_none_are_refused() {
     assert!(matches!(error, RemovalError::EstimateMismatch { dim: 2, .. }), "{error}");
     let any = Options { linear_within: f64::INFINITY, ..options };
     for (options, bad) in [(options, f64::NAN), (any, f64::NAN), (any, f64::INFINITY)] {
-        let spoil: fn(&mut Vec<Linearized>) = match bad.is_nan() {
+        let spoil: fn(&mut Vec<LinearizedEstimate>) = match bad.is_nan() {
             true => |found| found[1].delta[0] = f64::NAN,
             false => |found| found[1].delta[0] = f64::INFINITY,
         };

@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 use std::time::{Duration, Instant};
 
 use evergraph_formats::{Document, Line, Record, spell_id};
-use evergraph_longterm::{Needed, ThinningError};
+use evergraph_longterm::{Needed, ThinningError, ThinningFailure};
 use evergraph_model::{FactorId, Graph, Value, VariableId};
 use evergraph_solver::{
     BatchSettings, Method, Reason, Report, Settings, Smoother, SmootherError, Status,
@@ -202,9 +202,9 @@ impl Replayer {
     /// What an error of a removal says, with variables by their ids in the file.
     pub fn explain_thinning(&self, error: &ThinningError) -> String {
         let name = |variable: VariableId| self.name_of(variable);
-        match error {
-            ThinningError::Removal(error) => words::explain_removal(error, &name),
-            ThinningError::Smoother { variable, source } => {
+        match &error.failure {
+            ThinningFailure::Removal(error) => words::explain_removal(error, &name),
+            ThinningFailure::Smoother { variable, source } => {
                 format!("removing {} was refused: {}", name(*variable), self.explain(source))
             }
             other => other.to_string(),

@@ -46,6 +46,7 @@
 #![deny(missing_docs)]
 
 mod batch;
+mod belief;
 mod covariance;
 mod dense;
 mod diagnose;

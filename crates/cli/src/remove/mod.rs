@@ -127,13 +127,13 @@ fn thin(
     arguments: &Arguments,
     progress: Progress,
 ) -> Result<Thinning, Error> {
-    let rules = Rules {
-        order: arguments.order(),
-        at_most: nodes.count,
-        options: arguments.options(),
-        spared: &gauge_factors(replayer),
-        prices: !arguments.no_price,
-    };
+    let spared = gauge_factors(replayer);
+    let rules = Rules::default()
+        .with_order(arguments.order())
+        .with_limit(nodes.count)
+        .with_options(arguments.options())
+        .sparing(&spared)
+        .with_prices(!arguments.no_price);
     let thinning = Thinning::run(replayer.smoother_mut(), &nodes.nodes, &rules, || progress.tick());
     progress.finish();
     thinning.map_err(|source| Error::Removal {

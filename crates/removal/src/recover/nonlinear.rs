@@ -9,8 +9,8 @@ use evergraph_model::{
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
 use crate::error::MakeError;
+use crate::member::Member;
 use crate::motion::{carried, rotation_part};
-use crate::neighborhood::Member;
 use crate::potential::Potential;
 use crate::target::Target;
 
