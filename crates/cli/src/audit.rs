@@ -13,7 +13,6 @@ use serde_json::json;
 use crate::error::Error;
 use crate::files;
 use crate::options::{Common, Policy, Reading, Solving, StartFrom};
-use crate::output::Output;
 use crate::progress::Progress;
 use crate::replay::{unsolvable, warn_of_landmarks};
 use crate::report::{self, SCHEMA};
@@ -57,7 +56,7 @@ pub(crate) struct Arguments {
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let begun = Instant::now();
     let common = &arguments.common;
-    let output = Output::new(common);
+    let output = common.output();
     let settings =
         arguments.solving.settings(arguments.policy.relinearization("audit")?, common.threads());
     let document = arguments.reading.read(&arguments.file, common)?;

@@ -13,7 +13,6 @@ use serde_json::{Value, json};
 
 use crate::error::Error;
 use crate::options::{Common, Policy, Reading, Solving, StartFrom};
-use crate::output::Output;
 use crate::replay::{unsolvable, warn_of_landmarks};
 use crate::report::{self, SCHEMA, Times};
 use crate::table::{CONVENTION, Columns, Rows, milliseconds, number};
@@ -81,7 +80,7 @@ impl Arguments {
 
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let common = &arguments.common;
-    let output = Output::new(common);
+    let output = common.output();
     let settings = arguments.settings()?;
     let begun = Instant::now();
     let document = arguments.reading.read(&arguments.file, common)?;

@@ -1,24 +1,23 @@
 //! `evergraph compare`.
 
-use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::Args;
-use evergraph::evaluate::{Divergence, Solved};
-use evergraph::formats::{Document, spell_id};
-use evergraph::model::{Value, VariableId};
+use evergraph::evaluate::{
+    Divergence, GraphSize, ReducedError, Solved, anchor_alike, components_gone, shared_values,
+    shared_variables,
+};
+use evergraph::formats::Document;
 use evergraph::replay::ReplayOptions;
 use evergraph::solver::{BatchReport, Relinearization};
 use evergraph::{Overview, Replayer, optimize_to_the_end};
 use serde_json::{Map, json};
 
-use crate::anchor::anchor_alike;
 use crate::error::Error;
 use crate::files;
 use crate::options::{Common, Reading, Solving, StartFrom};
-use crate::output::Output;
-use crate::reduction::{self, Reduction, Size, gauge_factors, incomparable, warn_of_ends};
+use crate::reduction::{self, Reduction, gauge_factors, incomparable, warn_of_ends};
 use crate::replay::{unsolvable, warn_of_landmarks};
 use crate::report::{self, SCHEMA};
 use crate::table::{Rows, milliseconds};
@@ -55,7 +54,7 @@ pub(crate) struct Arguments {
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let begun = Instant::now();
     let common = &arguments.common;
-    let output = Output::new(common);
+    let output = common.output();
     if let Some(path) = &common.report {
         let read = [&arguments.full, &arguments.reduced];
         files::check_apart("compare", read.map(PathBuf::as_path), path)?;
@@ -70,14 +69,18 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let first = solve(&mut full).map_err(|error| error.with_gauge(prior, &document))?;
     let overview = Overview::of(&document);
     let document = arguments.reading.read(&arguments.reduced, common)?;
-    let document = document.with_vertices(optimum_of(&full, &document)?)?;
+    let document = document.with_vertices(shared_values(&full, &document)?)?;
     let options = as_the_file_says(&document, options);
     let mut reduced = Replayer::new(&document, &options, settings)?;
     let batch = solve(&mut reduced).map_err(|error| error.with_gauge(prior, &document))?;
-    let priors = anchor_alike(&mut full, &reduced, &overview)?;
+    let anchored = anchor_alike(&mut full, &reduced, &overview);
+    let priors = anchored.map_err(|error| match error {
+        ReducedError::Full(source) => unsolvable(&full, *source),
+        other => other.into(),
+    })?;
     let gone = components_gone(&full, &reduced, &overview);
 
-    let kept = pairs(&full, &reduced)?;
+    let kept = shared_variables(&full, &reduced)?;
     let (was, is) = (full.smoother().estimates(), reduced.smoother().estimates());
     let divergence = Divergence::of(
         Solved { graph: full.graph(), estimates: &was },
@@ -86,8 +89,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         &settings,
     );
     let reduction = Reduction {
-        before: Size::of(full.smoother(), &priors),
-        after: Size::of(reduced.smoother(), &gauge_factors(&reduced)),
+        before: GraphSize::of(full.smoother(), &priors),
+        after: GraphSize::of(reduced.smoother(), &gauge_factors(&reduced)),
         divergence: divergence.map_err(|error| match error {
             evergraph::evaluate::DivergenceError::Full(_) => incomparable(&full, error),
             _ => incomparable(&reduced, error),
@@ -142,54 +145,4 @@ fn solve(replayer: &mut Replayer) -> Result<BatchReport, Error> {
 fn as_the_file_says(reduced: &Document, options: ReplayOptions) -> ReplayOptions {
     let kernel = options.kernel.filter(|_| reduced.summary().robust == 0);
     ReplayOptions { kernel, ..options }
-}
-
-/// Where the full graph's optimum has the variables of the reduced document.
-fn optimum_of(full: &Replayer, reduced: &Document) -> Result<Vec<(u64, Value)>, Error> {
-    let estimates = full.smoother().estimates();
-    let ids = reduced.ids().into_iter();
-    ids.map(|(id, kind)| {
-        let replay = full.replay();
-        let (same, other) = match kind.is_pose() {
-            true => (replay.pose(id), replay.landmark(id)),
-            false => (replay.landmark(id), replay.pose(id)),
-        };
-        let value = same.and_then(|variable| estimates.value(variable).ok());
-        let problem = match other {
-            None => "is not in the full graph's map",
-            Some(_) => "is a pose in one and a landmark in the other",
-        };
-        let value = value.ok_or_else(|| Error::NotReduced {
-            full: full.name().into(),
-            reduced: reduced.name().into(),
-            problem: format!("{} {problem}", spell_id(id)),
-        })?;
-        Ok((id, value.to_value()))
-    })
-    .collect()
-}
-
-/// The variables that both have, by id.
-fn pairs(full: &Replayer, reduced: &Replayer) -> Result<Vec<(VariableId, VariableId)>, Error> {
-    let pair = |(id, variable): (u64, VariableId)| {
-        let is_pose = reduced.replay().pose(id) == Some(variable);
-        let replay = full.replay();
-        let same = if is_pose { replay.pose(id) } else { replay.landmark(id) };
-        same.map(|same| (same, variable)).ok_or_else(|| Error::NotReduced {
-            full: full.name().into(),
-            reduced: reduced.name().into(),
-            problem: format!("{} is not in the full graph's map", spell_id(id)),
-        })
-    };
-    reduced.replay().ids().map(pair).collect()
-}
-
-/// How many connected components of the full graph are gone as a whole.
-fn components_gone(full: &Replayer, reduced: &Replayer, overview: &Overview) -> usize {
-    let components = |replayer: &Replayer| -> BTreeSet<usize> {
-        let replay = replayer.replay();
-        let of = |(id, variable)| overview.component_of(id, replay.pose(id) == Some(variable));
-        replay.ids().filter_map(of).collect()
-    };
-    components(full).difference(&components(reduced)).count()
 }

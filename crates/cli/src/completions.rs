@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use clap::{Args, CommandFactory};
+use clap::Args;
 use clap_complete::Shell;
 
 use crate::error::Error;
@@ -22,9 +22,9 @@ pub(crate) struct Arguments {
     shell: Shell,
 }
 
-pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
+/// Prints the completions of `program`.
+pub(crate) fn run(arguments: &Arguments, mut program: clap::Command) -> Result<(), Error> {
     let mut script = Vec::new();
-    let mut program = crate::Program::command();
     clap_complete::generate(arguments.shell, &mut program, "evergraph", &mut script);
     let mut out = io::stdout().lock();
     out.write_all(&script).and_then(|()| out.flush()).map_err(Error::Print)

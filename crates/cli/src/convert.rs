@@ -40,7 +40,7 @@ pub(crate) struct Arguments {
 
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let common = &arguments.common;
-    let output = Output::new(common);
+    let output = common.output();
     let document = arguments.reading.read(&arguments.input, common)?;
     let options = WriteOptions { plain: arguments.plain };
     let saved = files::write_document(&arguments.output, &document, options)?;

@@ -4,16 +4,15 @@ use std::io;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::CommandFactory;
 use clap::error::ErrorKind;
-use evergraph::evaluate::{DivergenceError, EvaluateError};
+use evergraph::evaluate::{DivergenceError, EvaluateError, ReducedError};
 use evergraph::formats::{Document, FormatError, TrajectoryError, spell_id};
 use evergraph::simulate::WorldError;
 use evergraph::solver::Singular;
 use evergraph::{Component, Overview, ReplayerError, SmootherError, ThinningError};
 use thiserror::Error;
 
-use crate::output;
+use crate::stderr;
 
 /// Why the program stops.
 #[derive(Debug, Error)]
@@ -57,8 +56,8 @@ pub(crate) enum Error {
     #[error("{file}: {message}")]
     Incomparable { file: String, message: String, source: Box<DivergenceError> },
     /// A reduced graph does not fit the full one.
-    #[error("{reduced}: is no reduced graph of {full}: {problem}")]
-    NotReduced { full: String, reduced: String, problem: String },
+    #[error(transparent)]
+    NotReduced(#[from] ReducedError),
     /// A file could not be read.
     #[error("{}: cannot be read: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
@@ -115,13 +114,12 @@ impl Error {
         }
     }
 
-    /// Tells the user, and says how the program ends.
-    pub(crate) fn end(&self) -> ExitCode {
+    /// Tells the user, and says how the program ends; `program` is the command line, for its usage.
+    pub(crate) fn end(&self, mut program: clap::Command) -> ExitCode {
         match self {
             // Whoever read the output has seen enough, as `| head` does.
             Self::Print(source) if source.kind() == io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
             Self::Usage { command, message } => {
-                let mut program = crate::Program::command();
                 program.build();
                 let error = match program.find_subcommand_mut(command) {
                     Some(command) => command.error(ErrorKind::ArgumentConflict, message),
@@ -132,7 +130,7 @@ impl Error {
                 ExitCode::from(2)
             }
             other => {
-                output::complain(&other.to_string());
+                stderr::complain(&other.to_string());
                 ExitCode::from(1)
             }
         }

@@ -14,7 +14,6 @@ use serde_json::{Value, json};
 use crate::error::Error;
 use crate::files;
 use crate::options::{Common, Reading};
-use crate::output::Output;
 use crate::report::{self, SCHEMA};
 use crate::table::{Rows, number};
 
@@ -142,7 +141,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     });
     report::save(common.report.as_deref(), &report)?;
 
-    let output = Output::new(common);
+    let output = common.output();
     if !aligned.unique {
         output.warn(&"the positions of one side lie on a line: the alignment is one of many, and errors of rotation mean little");
     }

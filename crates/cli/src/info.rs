@@ -10,7 +10,6 @@ use serde_json::{Value, json};
 
 use crate::error::Error;
 use crate::options::{Common, Reading};
-use crate::output::Output;
 use crate::report::{self, SCHEMA};
 use crate::table::{CONVENTION, Rows, number};
 
@@ -54,7 +53,7 @@ const LISTED: usize = 8;
 
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let common = &arguments.common;
-    let output = Output::new(common);
+    let output = common.output();
     let document = arguments.reading.read(&arguments.file, common)?;
     let overview = Overview::of(&document);
     let mut rows = Rows::new("data set", &report::file_name(&arguments.file));

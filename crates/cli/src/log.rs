@@ -9,7 +9,6 @@ use tracing_subscriber::fmt;
 use tracing_subscriber::prelude::*;
 
 use crate::options::Common;
-use crate::output::Output;
 
 /// The environment variable with directives such as `evergraph_solver=debug`; goes before
 /// `--verbose`.
@@ -29,7 +28,7 @@ pub(crate) fn start(common: &Common) {
     let filter = match directives.map(|text| text.parse::<Targets>()) {
         Some(Ok(filter)) => Some(filter),
         Some(Err(error)) => {
-            Output::new(common).warn(&format!("{VARIABLE} is passed over: {error}"));
+            common.output().warn(&format!("{VARIABLE} is passed over: {error}"));
             asked
         }
         None => asked,

@@ -1,7 +1,6 @@
 //! The `evergraph` program: replay, optimize, reduce, evaluate, measure, inspect, convert and simulate pose graphs.
 #![forbid(unsafe_code)]
 
-mod anchor;
 mod audit;
 mod bench;
 mod compare;
@@ -24,12 +23,13 @@ mod remove;
 mod replay;
 mod report;
 mod simulate;
+mod stderr;
 mod steps;
 mod table;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::options::Common;
 
@@ -107,10 +107,10 @@ fn main() -> ExitCode {
         Command::Info(arguments) => info::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
-        Command::Completions(arguments) => completions::run(&arguments),
+        Command::Completions(arguments) => completions::run(&arguments, Program::command()),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => error.end(),
+        Err(error) => error.end(Program::command()),
     }
 }

@@ -10,7 +10,6 @@ use serde_json::json;
 
 use crate::error::Error;
 use crate::options::{Common, Reading, Solving, StartFrom};
-use crate::output::Output;
 use crate::outputs::Outputs;
 use crate::replay::{unsolvable, warn_of_landmarks};
 use crate::report::{self, Report, Run, Status, Times};
@@ -87,7 +86,7 @@ pub(crate) struct Arguments {
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let begun = Instant::now();
     let common = &arguments.common;
-    let output = Output::new(common);
+    let output = common.output();
     let settings = arguments.solving.settings(Relinearization::NEVER, common.threads());
     let method = match arguments.method {
         MethodName::Gn => Method::GaussNewton,

@@ -39,6 +39,11 @@ pub(crate) struct Common {
 }
 
 impl Common {
+    /// Results and warnings, as far as they are asked for.
+    pub(crate) fn output(&self) -> Output {
+        Output::new(self.quiet, self.verbose > 0)
+    }
+
     pub(crate) fn threads(&self) -> usize {
         let cores = || std::thread::available_parallelism().map_or(1, usize::from).min(1024);
         self.threads.map_or_else(cores, usize::from)
@@ -84,7 +89,7 @@ impl Reading {
         let (name, summary) = (document.name(), document.summary());
         let (lines, poses, landmarks) = (summary.lines, summary.poses, summary.landmarks);
         info!(lines, poses, landmarks, "read {name} ({})", document.dialect());
-        tell(&document, Output::new(common));
+        tell(&document, common.output());
         Ok(document)
     }
 

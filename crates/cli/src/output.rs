@@ -4,7 +4,7 @@ use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 
 use crate::error::Error;
-use crate::options::Common;
+use crate::stderr;
 
 /// How much to say.
 #[derive(Clone, Copy, Debug)]
@@ -14,8 +14,8 @@ pub(crate) struct Output {
 }
 
 impl Output {
-    pub(crate) fn new(common: &Common) -> Self {
-        Self { quiet: common.quiet, verbose: common.verbose > 0 }
+    pub(crate) fn new(quiet: bool, verbose: bool) -> Self {
+        Self { quiet, verbose }
     }
 
     /// The result.
@@ -30,7 +30,7 @@ impl Output {
     /// Something that the user should hear about.
     pub(crate) fn warn(self, text: &dyn Display) {
         if !self.quiet {
-            to_stderr(&format!("warning: {text}"));
+            stderr::line(&format!("warning: {text}"));
         }
     }
 
@@ -40,14 +40,4 @@ impl Output {
         let terminal = io::stdout().is_terminal() && io::stderr().is_terminal();
         terminal && !self.quiet && !self.verbose
     }
-}
-
-/// Why the program ends early; `--quiet` does not hide it.
-pub(crate) fn complain(text: &str) {
-    to_stderr(&format!("error: {text}"));
-}
-
-fn to_stderr(text: &str) {
-    // A closed standard error leaves no place to say so.
-    let _ = writeln!(io::stderr().lock(), "{text}");
 }

@@ -1,6 +1,6 @@
 //! What `remove` and `compare` say of two graphs.
 
-use evergraph::evaluate::{Divergence, DivergenceError, information_nonzeros};
+use evergraph::evaluate::{Divergence, DivergenceError, GraphSize};
 use evergraph::model::{FactorId, VariableId};
 use evergraph::solver::{BatchReport, Status as BatchStatus};
 use evergraph::{Replayer, Smoother};
@@ -16,31 +16,6 @@ pub(crate) const CONVENTION: &str = "nats; 1/2 (tr(L P) - n - ln det L + ln det 
      L_true of the full graph's marginal, L of the reduced graph, both at the full graph's optimum, d \
      from there to the reduced graph's";
 
-/// How large a graph is.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Size {
-    pub variables: usize,
-    /// Gauge priors left out.
-    pub factors: usize,
-    /// Of the upper triangle of the information matrix, by blocks.
-    pub nonzeros: usize,
-    /// Of R.
-    pub factor_nonzeros: usize,
-}
-
-impl Size {
-    pub(crate) fn of(smoother: &Smoother, priors: &[FactorId]) -> Self {
-        let graph = smoother.graph();
-        let priors = priors.iter().filter(|id| graph.check_factor(**id).is_ok()).count();
-        Self {
-            variables: graph.variable_count(),
-            factors: graph.factor_count() - priors,
-            nonzeros: information_nonzeros(graph),
-            factor_nonzeros: smoother.size().nonzeros,
-        }
-    }
-}
-
 /// The factors that hold the gauge.
 pub(crate) fn gauge_factors(replayer: &Replayer) -> Vec<FactorId> {
     replayer.replay().gauge_priors().iter().map(|prior| prior.factor).collect()
@@ -49,8 +24,8 @@ pub(crate) fn gauge_factors(replayer: &Replayer) -> Vec<FactorId> {
 /// Two graphs and what is between them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Reduction {
-    pub before: Size,
-    pub after: Size,
+    pub before: GraphSize,
+    pub after: GraphSize,
     pub divergence: Divergence,
 }
 

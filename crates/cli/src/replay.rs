@@ -100,7 +100,7 @@ impl Driven {
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let begun = Instant::now();
     let common = &arguments.common;
-    let output = Output::new(common);
+    let output = common.output();
     let settings =
         arguments.solving.settings(arguments.policy.relinearization("replay")?, common.threads());
 

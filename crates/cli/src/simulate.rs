@@ -10,7 +10,6 @@ use serde_json::json;
 use crate::error::Error;
 use crate::files;
 use crate::options::Common;
-use crate::output::Output;
 use crate::report::{self, SCHEMA};
 
 const EXAMPLES: &str = "\
@@ -94,7 +93,7 @@ pub(crate) struct Arguments {
 
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let common = &arguments.common;
-    let output = Output::new(common);
+    let output = common.output();
     let world = match arguments.shape {
         Shape::Manhattan => grid(Grid::manhattan(arguments.poses, arguments.seed), arguments)?,
         Shape::City => grid(Grid::city(arguments.poses, arguments.seed), arguments)?,

@@ -48,6 +48,7 @@
 
 mod absolute;
 mod alignment;
+mod anchor;
 mod association;
 pub mod conventions;
 mod divergence;
@@ -56,18 +57,23 @@ mod factorized;
 mod landmarks;
 mod map;
 mod nonzeros;
+mod reduced;
 mod relative;
+mod size;
 mod start;
 mod statistics;
 
 pub use absolute::{AbsoluteError, PoseError};
 pub use alignment::{Aligned, Alignment, Similarity};
+pub use anchor::anchor_alike;
 pub use association::{Association, PosePair, PosePairs};
 pub use divergence::{Divergence, DivergenceError, Solved};
 pub use error::EvaluateError;
 pub use landmarks::LandmarkError;
 pub use map::Map;
 pub use nonzeros::information_nonzeros;
+pub use reduced::{ReducedError, components_gone, shared_values, shared_variables};
 pub use relative::{RelativeError, RelativePairs};
+pub use size::GraphSize;
 pub use start::Start;
 pub use statistics::Statistics;

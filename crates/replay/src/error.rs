@@ -1,11 +1,13 @@
 //! Errors of a replay.
 
 use evergraph_formats::{FormatError, spell_id};
+use evergraph_model::GraphError;
 use evergraph_solver::SmootherError;
 use thiserror::Error;
 
 /// Why a replay stopped.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum ReplayerError {
     /// The file does not make sense as a graph.
     #[error(transparent)]
@@ -33,6 +35,9 @@ pub enum ReplayerError {
         /// Why, with the variables of a graph of its own.
         source: Box<SmootherError>,
     },
+    /// A change does not fit the graph.
+    #[error(transparent)]
+    Graph(#[from] GraphError),
     /// The smoother could not be made.
     #[error(transparent)]
     Smoother(#[from] SmootherError),

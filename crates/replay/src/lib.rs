@@ -17,6 +17,7 @@ mod observation;
 mod options;
 mod order;
 mod overview;
+mod reduced;
 mod replayer;
 mod state;
 mod steps;

@@ -1,28 +1,25 @@
 //! `evergraph remove`.
 
 mod arguments;
-mod document;
 mod summary;
 
 use std::time::Instant;
 
 pub(crate) use arguments::Arguments;
-use evergraph::evaluate::{Divergence, Solved};
+use evergraph::evaluate::{Divergence, GraphSize, Solved};
 use evergraph::formats::WriteOptions;
 use evergraph::solver::BatchReport;
 use evergraph::{Replayer, Rules, Thinning, optimize_to_the_end};
 use serde_json::{Map, json};
 
-use self::document::reduced_document;
 use self::summary::Summary;
 use crate::convert;
 use crate::error::Error;
 use crate::files;
 use crate::nodes::Candidates;
 use crate::options::StartFrom;
-use crate::output::Output;
 use crate::progress::Progress;
-use crate::reduction::{self, Reduction, Size, gauge_factors, incomparable, warn_of_ends};
+use crate::reduction::{self, Reduction, gauge_factors, incomparable, warn_of_ends};
 use crate::replay::{unsolvable, warn_of_landmarks};
 use crate::report::{self, SCHEMA};
 use crate::table::{Rows, milliseconds};
@@ -30,7 +27,7 @@ use crate::table::{Rows, milliseconds};
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let begun = Instant::now();
     let common = &arguments.common;
-    let output = Output::new(common);
+    let output = common.output();
     let settings =
         arguments.solving.settings(arguments.policy.relinearization("remove")?, common.threads());
     let document = arguments.reading.read(&arguments.file, common)?;
@@ -63,7 +60,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     // Before the long work of the metrics.
     if let Some(path) = &arguments.output {
         let name = path.display().to_string();
-        let document = reduced_document(&name, &replayer, &reduced, &document)?;
+        let document = replayer.reduced_document(&name, &reduced, &document)?;
         let written = files::write_document(path, &document, WriteOptions { plain: false })?;
         convert::tell(&written, path, output);
     }
@@ -76,8 +73,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         &settings,
     );
     let reduction = Reduction {
-        before: Size::of(&full, &priors),
-        after: Size::of(&reduced, &priors),
+        before: GraphSize::of(&full, &priors),
+        after: GraphSize::of(&reduced, &priors),
         divergence: divergence.map_err(|error| incomparable(&replayer, error))?,
     };
 

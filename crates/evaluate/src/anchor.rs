@@ -1,15 +1,14 @@
-//! The full graph held where the reduced one is, so that the two can be compared.
+//! The full graph held at the same poses as the reduced one, so that the two can be compared.
 
 use std::collections::BTreeMap;
 
-use evergraph::factors::Prior;
-use evergraph::formats::spell_id;
-use evergraph::model::{Change, FactorId, Graph, Noise, Pose2, Pose3, Value, VariableId};
-use evergraph::replay::GaugePrior;
-use evergraph::{Overview, Replayer, optimize_to_the_end};
+use evergraph_factors::Prior;
+use evergraph_formats::spell_id;
+use evergraph_model::{Change, FactorId, Graph, Noise, Pose2, Pose3, Value, VariableId};
+use evergraph_replay::{GaugePrior, Overview, Replayer};
+use evergraph_solver::optimize_to_the_end;
 
-use crate::error::Error;
-use crate::replay::unsolvable;
+use crate::reduced::ReducedError;
 
 /// The gauge priors of a component of the full graph, in both graphs.
 #[derive(Default)]
@@ -18,16 +17,21 @@ struct Anchors<'a> {
     should_be: Vec<&'a GaugePrior>,
 }
 
-/// Puts the gauge priors of each component of the full graph where the reduced graph has its own, and
-/// says which they are. At the optimum of relative measurements that moves nothing.
+/// Puts the gauge priors of each component of the full graph where the reduced graph has its own, optimizes
+/// the full graph again where that moved one, and returns the priors. At the optimum of relative
+/// measurements nothing else moves. `overview` is that of the full graph's document.
 ///
 /// A component of which nothing is kept is not compared. Its prior stays, so that the full graph is
 /// determined.
-pub(crate) fn anchor_alike(
+///
+/// # Errors
+/// [`ReducedError::NotReduced`] where the reduced graph is held otherwise than the full one,
+/// [`ReducedError::Full`] when the full graph cannot be solved with the other priors.
+pub fn anchor_alike(
     full: &mut Replayer,
     reduced: &Replayer,
     overview: &Overview,
-) -> Result<Vec<FactorId>, Error> {
+) -> Result<Vec<FactorId>, ReducedError> {
     let mut components: BTreeMap<Option<usize>, Anchors<'_>> = BTreeMap::new();
     let component = |prior: &GaugePrior| overview.component_of(prior.id, true);
     for prior in full.replay().gauge_priors() {
@@ -36,7 +40,7 @@ pub(crate) fn anchor_alike(
     for prior in reduced.replay().gauge_priors() {
         components.entry(component(prior)).or_default().should_be.push(prior);
     }
-    let not_reduced = |problem: String| Error::NotReduced {
+    let not_reduced = |problem: String| ReducedError::NotReduced {
         full: full.name().into(),
         reduced: reduced.name().into(),
         problem,
@@ -72,7 +76,7 @@ pub(crate) fn anchor_alike(
     if moves {
         let applied = full.smoother_mut().apply(change).map(drop);
         let optimized = applied.and_then(|()| optimize_to_the_end(full.smoother_mut()).map(drop));
-        optimized.map_err(|source| unsolvable(full, source))?;
+        optimized.map_err(|source| ReducedError::Full(Box::new(source)))?;
     }
     Ok(factors)
 }
