@@ -99,6 +99,17 @@ fn a_map_in_space_is_seen_from_above() {
     assert!(svg.len() < 300_000, "{} bytes for 2500 poses", svg.len());
 }
 
+#[cfg(not(feature = "png"))]
+#[test]
+fn a_png_names_the_feature_that_is_missing() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    folder
+        .run("replay square.g2o --plot map.png")
+        .failed(2, &["map.png", "feature `png`", "--features png"]);
+    assert_eq!(folder.list(), ["square.g2o"]);
+}
+
+#[cfg(feature = "png")]
 #[test]
 fn a_png_is_a_png_of_the_same_size() {
     let folder = Folder::with("square.g2o", SQUARE);

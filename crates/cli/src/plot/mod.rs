@@ -5,6 +5,7 @@
 
 mod axes;
 mod map;
+#[cfg(feature = "png")]
 mod png;
 mod svg;
 
@@ -47,6 +48,7 @@ pub(crate) struct PlotPath {
 #[derive(Clone, Copy, Debug)]
 enum Kind {
     Svg,
+    #[cfg(feature = "png")]
     Png,
 }
 
@@ -57,7 +59,16 @@ impl PlotPath {
         let extension = path.extension().map(|it| it.to_string_lossy().to_ascii_lowercase());
         let kind = match extension.as_deref() {
             Some("svg") => Kind::Svg,
+            #[cfg(feature = "png")]
             Some("png") => Kind::Png,
+            #[cfg(not(feature = "png"))]
+            Some("png") => {
+                return Err(
+                    "this program was built without its feature `png` and draws .svg only; \
+                            build it with `--features png` for .png"
+                        .into(),
+                );
+            }
             _ => return Err("the extension says which picture: .svg or .png".into()),
         };
         Ok(Self { path, kind })
@@ -86,6 +97,7 @@ impl Plot {
         let svg = self.svg();
         match to.kind {
             Kind::Svg => files::write_text(&to.path, &svg),
+            #[cfg(feature = "png")]
             Kind::Png => {
                 let failed = |reason| Error::Draw { path: to.path.clone(), reason };
                 files::write_bytes(&to.path, &png::draw(&svg).map_err(failed)?)
@@ -239,6 +251,7 @@ mod tests {
             };
             let svg = plot.svg();
             assert!(!svg.contains("NaN") && !svg.contains("inf"), "{points:?}: {svg}");
+            #[cfg(feature = "png")]
             png::draw(&svg).expect("it is a picture");
         }
     }
