@@ -32,5 +32,5 @@ pub use error::{CatalogueError, DataError};
 pub use quantity::{Description, Part, Quantity};
 pub use registry::Catalogue;
 pub use standard::{STANDARD, StoredResidual};
-pub use stored::{FactorReader, FactorWriter, StoredFactor};
+pub use stored::{FactorReader, FactorWriter, StoredFactor, normalized};
 pub use variables::StoredVariable;

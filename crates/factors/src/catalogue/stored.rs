@@ -225,3 +225,9 @@ impl<'a> FactorReader<'a> {
 
 /// How far the square of a normalized vector's length is from one at most.
 const ROUNDING: f64 = 1e-14;
+
+/// A direction at length one, as the constructors of factors normalize it; `None` for one without
+/// length or with numbers that are not finite.
+pub fn normalized(direction: [f64; 3]) -> Option<[f64; 3]> {
+    unit("", "", direction.into()).ok().map(Into::into)
+}
