@@ -68,6 +68,7 @@ pub(crate) enum Error {
     #[error("{}: cannot be written: {source}; nothing was put in its place", path.display())]
     Write { path: PathBuf, source: io::Error },
     /// A picture could not be drawn.
+    #[cfg(feature = "png")]
     #[error("{}: cannot be drawn: {reason}; nothing was put in its place", path.display())]
     Draw { path: PathBuf, reason: String },
     /// The map costs more than a number can say.

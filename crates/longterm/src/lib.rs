@@ -43,6 +43,7 @@ mod rules;
 mod thinning;
 
 pub use error::{ThinningError, ThinningFailure};
+pub use evergraph_removal::RemovalError;
 pub use needed::Needed;
 pub use rules::Rules;
 pub use thinning::{Thinned, Thinning};

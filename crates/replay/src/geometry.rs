@@ -25,6 +25,15 @@ impl Handle {
         }
     }
 
+    pub fn kind(self) -> Kind {
+        match self {
+            Self::Pose2(_) => Kind::Pose2,
+            Self::Pose3(_) => Kind::Pose3,
+            Self::Point2(_) => Kind::Point2,
+            Self::Point3(_) => Kind::Point3,
+        }
+    }
+
     pub fn id(self) -> VariableId {
         match self {
             Self::Pose2(key) => key.id(),

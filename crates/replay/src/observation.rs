@@ -78,8 +78,7 @@ impl Observed {
         let place = document.place(line.number);
         let Measurement { quantity, ends, numbers, weight, .. } = measurement;
         let kinds: SmallVec<[Kind; 2]> = ends.iter().map(|(_, kind)| *kind).collect();
-        let (mut count, mut rows) = quantity
-            .shape(&kinds)
+        let (mut count, mut rows) = Measurement::shape(*quantity, &kinds)
             .ok_or_else(|| bad(&place, format!("no {quantity:?} is measured on its variables")))?;
         if *quantity == Quantity::Partial {
             let dim = kinds[0].dim();

@@ -1,8 +1,8 @@
 //! Errors of the smoother in the words of a file: its ids instead of the graph's.
 
 use evergraph_formats::spell_id;
+use evergraph_longterm::RemovalError;
 use evergraph_model::VariableId;
-use evergraph_removal::RemovalError;
 use evergraph_solver::{Singular, SmootherError};
 
 /// How many variables a message lists.
