@@ -1,4 +1,4 @@
-//! Everyone's estimate, kept between the questions for it: only what has moved is computed again.
+//! The estimates of all variables, cached between calls: only those that have moved are computed again.
 
 use std::ops::Range;
 
@@ -7,15 +7,15 @@ use evergraph_model::{
 };
 
 use crate::dense::Instructions;
-use crate::smoother::Smoother;
+use crate::index::CliqueIndex;
 use crate::solve::{copy_to_front, is_beyond, solve_clique};
 use crate::tree::{Clique, Tree};
 
 /// The estimates of all variables, where the smoother keeps them: nothing is copied.
 #[derive(Clone, Copy, Debug)]
 pub struct Estimates<'a> {
-    graph: &'a Graph,
-    points: &'a [f64],
+    pub(crate) graph: &'a Graph,
+    pub(crate) points: &'a [f64],
 }
 
 impl<'a> Estimates<'a> {
@@ -57,12 +57,12 @@ impl<'a> Estimates<'a> {
     }
 }
 
-/// The estimates that [`Smoother::kept_estimates`] keeps: `points ⊕ δ`, with a δ of its own, so that
-/// nothing else depends on who has looked.
+/// The estimates behind [`Smoother::cached_estimates`](crate::Smoother::cached_estimates):
+/// `points ⊕ δ`, with a δ of its own, so that no later answer depends on earlier calls.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Kept {
+pub(crate) struct EstimateCache {
     /// Laid out as the linearization points.
-    estimates: Vec<f64>,
+    pub(crate) estimates: Vec<f64>,
     /// By tangent range.
     delta: Vec<f64>,
     /// By variable slot.
@@ -73,7 +73,7 @@ pub(crate) struct Kept {
     start: u64,
     /// That of the last pass.
     tolerance: f64,
-    stack: Vec<u32>,
+    stack: Vec<CliqueIndex>,
     scratch: Vec<f64>,
 }
 
@@ -107,13 +107,13 @@ impl Variable {
     }
 }
 
-impl Kept {
+impl EstimateCache {
     /// Solves the cliques that are new, have new numbers, or whose separator has changed since they
     /// were last solved; by running intersection the subtree of any other clique is as it was.
     ///
     /// Afterwards the kept δ of every clique's frontals is within `tolerance` of what its equations
     /// give for the kept δ of its separator.
-    fn refresh(
+    pub(crate) fn refresh(
         &mut self,
         instructions: Instructions,
         graph: &Graph,
@@ -134,9 +134,9 @@ impl Kept {
         self.stack.extend(&tree.roots);
         while let Some(index) = self.stack.pop() {
             let clique = tree.clique_mut(index);
-            let is_new = clique.kept <= self.start;
-            if is_new || self.has_changed(&clique.structure.separator, clique.kept) {
-                clique.kept = self.clock;
+            let is_new = clique.cached <= self.start;
+            if is_new || self.has_changed(&clique.structure.separator, clique.cached) {
+                clique.cached = self.clock;
                 self.stack.extend(&clique.children);
                 self.solve(instructions, graph, clique, points, is_new);
             }
@@ -188,31 +188,5 @@ impl Kept {
             }
         }
         self.scratch = scratch;
-    }
-}
-
-impl Smoother {
-    /// The estimates of all variables to within a tolerance, kept between calls: each computes again
-    /// only what has moved since the last, where [`estimates`](Self::estimates) computes and copies
-    /// everything.
-    ///
-    /// An estimate changes once one of its components (m or rad, in the tangent space) is off by
-    /// more than `tolerance`, given the estimates of the variables that it is computed from. Those
-    /// may be off themselves, and an angle moves what is far away by more, so that the difference
-    /// from the exact estimate can be some tolerances: up to 14 have been seen. Small changes are
-    /// not lost: they add up until they exceed the tolerance. With 0 (and anything that is no
-    /// positive number) nothing is off. A smaller tolerance than that of the last call computes
-    /// everything again.
-    ///
-    /// Looking alters nothing else: later steps give the same bits.
-    pub fn kept_estimates(&mut self, tolerance: f64) -> Estimates<'_> {
-        let Self { graph, tree, points, kept, scratch, .. } = self;
-        if self.at_optimum {
-            // The next change finds a tree whose cliques are all new.
-            kept.estimates.clone_from(points);
-        } else {
-            kept.refresh(scratch.instructions, graph, tree, points, tolerance.max(0.0));
-        }
-        Estimates { graph, points: &kept.estimates }
     }
 }
