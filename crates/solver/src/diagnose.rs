@@ -96,13 +96,8 @@ fn component_of(graph: &Graph, dropped: Dropped<'_>, start: VariableIndex) -> Co
     let mut seen = BTreeSet::from([start]);
     let mut stack = vec![start];
     while let Some(v) = stack.pop() {
-        for &f in graph.factors_at(v).iter().filter(|f| factors.binary_search(f).is_err())
-        {
-            for &u in graph
-                .unknowns_at(f)
-                .iter()
-                .filter(|u| variables.binary_search(u).is_err())
-            {
+        for &f in graph.factors_at(v).iter().filter(|f| factors.binary_search(f).is_err()) {
+            for &u in graph.unknowns_at(f).iter().filter(|u| variables.binary_search(u).is_err()) {
                 if seen.insert(u) {
                     stack.push(u);
                 }
@@ -127,7 +122,8 @@ fn null_space(
     dropped: Dropped<'_>,
     component: &Component,
 ) -> Vec<Vec<f64>> {
-    let place = |v: VariableIndex| component.variables.binary_search(&v).ok().map(|i| component.starts[i]);
+    let place =
+        |v: VariableIndex| component.variables.binary_search(&v).ok().map(|i| component.starts[i]);
     let factors: BTreeSet<FactorIndex> = component
         .variables
         .iter()

@@ -217,7 +217,7 @@ pub(crate) struct State {
     clock: u64,
     /// Variables with a component of δ beyond the threshold of the passes so far, perhaps more
     /// than once or no longer; see [`State::moved_beyond`].
-    far: Vec<VariableIndex>,
+    pub(crate) far: Vec<VariableIndex>,
     seen: Vec<bool>,
     stack: Vec<CliqueIndex>,
     scratch: Vec<f64>,
@@ -350,8 +350,17 @@ impl State {
 
     /// Feeds all of it but buffers to a hash; of variables, those that exist.
     pub(crate) fn hash_state(&self, graph: &Graph, hash: &mut impl Hasher) {
-        let Self { delta, is_at_points, coarse, changed, clock, far, seen: _, stack: _, scratch: _ } =
-            self;
+        let Self {
+            delta,
+            is_at_points,
+            coarse,
+            changed,
+            clock,
+            far,
+            seen: _,
+            stack: _,
+            scratch: _,
+        } = self;
         (is_at_points, clock, far).hash(hash);
         for v in graph.variable_indices() {
             let range = graph.tangent_range(v);
@@ -370,20 +379,32 @@ impl State {
         threshold: f64,
         reach: f64,
         smallest: f64,
-    ) -> Vec<VariableIndex> {
+    ) -> Moved {
         let Self { far, seen, delta, .. } = self;
         seen.resize(graph.variable_slots(), false);
+        let delta_of = |v: VariableIndex| &delta[graph.tangent_range(v)];
         let beyond = |v: VariableIndex, limit: f64| {
-            graph.is_variable_at(v)
-                && delta[graph.tangent_range(v)].iter().any(|d| d.abs() > limit)
+            graph.is_variable_at(v) && delta_of(v).iter().any(|d| d.abs() > limit)
         };
         far.retain(|&v| beyond(v, smallest) && !std::mem::replace(&mut seen[v.index()], true));
         far.iter().for_each(|&v| seen[v.index()] = false);
-        match far.iter().any(|&v| beyond(v, threshold)) {
+        let components = far.iter().flat_map(|&v| delta_of(v).iter());
+        let largest = components.fold(0.0, |largest: f64, d| largest.max(d.abs()));
+        let variables = match far.iter().any(|&v| beyond(v, threshold)) {
             true => far.iter().copied().filter(|&v| beyond(v, reach)).collect(),
             false => Vec::new(),
-        }
+        };
+        Moved { variables, largest }
     }
+}
+
+/// The result of [`State::moved_beyond`].
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Moved {
+    /// The variables to relinearize.
+    pub(crate) variables: Vec<VariableIndex>,
+    /// Largest component of δ among those beyond the smallest threshold; 0 without any.
+    pub(crate) largest: f64,
 }
 
 /// Whether two vectors differ by more than `tolerance` anywhere.

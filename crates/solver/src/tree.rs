@@ -263,7 +263,12 @@ impl Tree {
     }
 
     /// Gives a clique new numbers.
-    pub(crate) fn replace_numeric(&mut self, index: CliqueIndex, numeric: Numeric, pool: &mut Pool) {
+    pub(crate) fn replace_numeric(
+        &mut self,
+        index: CliqueIndex,
+        numeric: Numeric,
+        pool: &mut Pool,
+    ) {
         let clique = self.clique_mut(index);
         pool.give(std::mem::replace(&mut clique.numeric, numeric).data);
         (clique.solved, clique.cached) = (0, 0);
@@ -330,8 +335,16 @@ impl Tree {
         (free, roots, clique_of, births).hash(hash);
         for (index, clique) in cliques.iter().enumerate() {
             let Some(clique) = clique else { continue };
-            let Clique { structure, numeric, parent, children, solved, cached: _, unfinished, birth } =
-                clique;
+            let Clique {
+                structure,
+                numeric,
+                parent,
+                children,
+                solved,
+                cached: _,
+                unfinished,
+                birth,
+            } = clique;
             (index, parent, children.as_slice(), solved, unfinished, birth).hash(hash);
             // The dimensions follow from the frontals and the separator.
             let Structure { frontals, separator, factors, frontal_dim: _, separator_dim: _ } =

@@ -107,4 +107,3 @@ pub(crate) enum Failure {
     /// eliminated by QR.
     Pending,
 }
-

@@ -70,7 +70,10 @@ impl<'a> Range<'a> {
             if let Ok(numeric) = front::eliminate(self.system, structure, &children, workspace) {
                 return Ok(numeric);
             }
-            debug!(first = structure.frontals[0].index(), "pivot too small for Cholesky, QR from rows");
+            debug!(
+                first = structure.frontals[0].index(),
+                "pivot too small for Cholesky, QR from rows"
+            );
         }
         self.eliminate_by_rows(node, workspace)
     }
@@ -129,7 +132,9 @@ impl<'a> Range<'a> {
         match of {
             Child::Node(n) => self.system.structure(&self.job.nodes[n.index()]),
             Child::Kept(clique) => &self.system.tree.clique(clique).structure,
-            Child::Pending(place) => &self.system.tree.clique(self.system.pending_clique(place).0).structure,
+            Child::Pending(place) => {
+                &self.system.tree.clique(self.system.pending_clique(place).0).structure
+            }
         }
     }
 

@@ -19,8 +19,7 @@ pub(super) fn eliminate(
 ) -> Result<Numeric, Failure> {
     let layout = structure.layout();
     let (n, frontal) = (layout.columns(), layout.frontal());
-    let factor_rows: usize =
-        structure.factors.iter().map(|&f| system.graph.rows_at(f)).sum();
+    let factor_rows: usize = structure.factors.iter().map(|&f| system.graph.rows_at(f)).sum();
     let child_rows: usize = children.iter().map(|(_, numeric)| root(numeric).0).sum();
     let damping_rows = if system.damping.is_some() { frontal } else { 0 };
     let m = factor_rows + child_rows + damping_rows;
@@ -51,8 +50,7 @@ pub(super) fn eliminate(
         row += rows;
     }
     if let Some(damping) = system.damping {
-        let scalars =
-            structure.frontals.iter().flat_map(|&v| system.graph.tangent_range(v));
+        let scalars = structure.frontals.iter().flat_map(|&v| system.graph.tangent_range(v));
         for (j, scalar) in scalars.enumerate() {
             workspace.square[j * m + row + j] = damping[scalar].sqrt();
             workspace.diagonal[j] += damping[scalar];

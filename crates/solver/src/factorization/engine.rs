@@ -53,6 +53,11 @@ impl Engine {
             buffers: Buffers::default(),
         }
     }
+
+    /// An old plan, for the next one to fill.
+    pub(crate) fn take_plan(&mut self) -> Plan {
+        std::mem::take(&mut self.buffers.plan)
+    }
 }
 
 impl Clone for Engine {

@@ -34,7 +34,9 @@ impl Factorization {
             Failure::Overflow { variable } => {
                 SmootherError::Overflow { variable: self.graph.variable_id(variable) }
             }
-            Failure::Pending => unreachable!("without a pending relinearization nothing is pending"),
+            Failure::Pending => {
+                unreachable!("without a pending relinearization nothing is pending")
+            }
         }
     }
 }

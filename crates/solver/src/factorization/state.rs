@@ -44,7 +44,7 @@ impl Factorization {
             inserted.map_err(|flaw| own.flawed(factor, flaw))?;
         }
         own.solution.resize(&own.graph);
-        let buffers = (std::mem::take(&mut engine.buffers.plan), &mut engine.workspace.clock);
+        let buffers = (engine.take_plan(), &mut engine.workspace.clock);
         let plan = engine.planner.plan_graph(own.now(), buffers);
         own.replace(plan, None, engine)?;
         Ok(own)
@@ -97,6 +97,15 @@ impl Factorization {
         let eliminated = eliminated.map_err(|failure| self.explain(failure, None))?;
         self.install(plan, eliminated, None, engine);
         engine.workspace.clock.lap(Phase::Install);
+        Ok(())
+    }
+
+    /// Linearizes all factors again.
+    pub(crate) fn relinearize_factors(&mut self) -> Result<(), SmootherError> {
+        for factor in self.graph.factor_indices() {
+            let linearized = self.blocks.relinearize(&self.graph, factor, &self.points);
+            linearized.map_err(|flaw| self.flawed(factor, flaw))?;
+        }
         Ok(())
     }
 

@@ -157,7 +157,7 @@ impl Factorization {
         // Mark the affected cliques and their ancestors, order their variables, build new cliques.
         let pending = pending.map(|pending| &*pending);
         let now = Now { last: newest, ..self.now() };
-        let buffers = (std::mem::take(&mut engine.buffers.plan), &mut engine.workspace.clock);
+        let buffers = (engine.take_plan(), &mut engine.workspace.clock);
         let plan = engine.planner.plan_change(now, staged, undo.moved(), pending, buffers);
         // Eliminate, bottom-up.
         match self.eliminate_plan(&plan, pending, None, engine) {
@@ -185,8 +185,7 @@ impl Factorization {
         for (variable, (_, value)) in staged.new_variables().zip(change.new_variables()) {
             self.points[self.graph.value_range(variable)].copy_from_slice(value.storage());
         }
-        for (id, value) in change.moves() {
-            let variable = self.graph.variable_index(*id)?;
+        for (&variable, (_, value)) in staged.moved().iter().zip(change.moves()) {
             undo.save_point(&self.graph, &self.points, variable);
             self.points[self.graph.value_range(variable)].copy_from_slice(value.storage());
         }

@@ -69,11 +69,7 @@ impl Planner {
     }
 
     /// The plan to eliminate a whole graph whose tree is empty.
-    pub(crate) fn plan_graph(
-        &mut self,
-        now: Now<'_>,
-        (buffer, clock): (Plan, &mut Clock),
-    ) -> Plan {
+    pub(crate) fn plan_graph(&mut self, now: Now<'_>, (buffer, clock): (Plan, &mut Clock)) -> Plan {
         self.gather_graph(now.graph, now.tree);
         self.finish(now, buffer, clock)
     }
