@@ -34,24 +34,31 @@
 
 mod arguments;
 mod change;
+mod error;
 mod factor;
 pub mod geometry;
 mod graph;
+mod ids;
 mod kernel;
 mod key;
 mod manifold;
 mod noise;
 mod slots;
 pub mod testing;
+mod user_code;
 mod value;
+mod values;
 
 pub use arguments::{Arguments, Linearization};
 pub use change::Change;
+pub use error::GraphError;
 pub use factor::Factor;
 pub use geometry::{Point2, Point3, Pose2, Pose3, Rot2, Rot3, VectorN};
-pub use graph::{Graph, GraphError, Staged};
+pub use graph::{Graph, SavedFactor, SavedGraph, SavedVariable, Staged};
+pub use ids::Ids;
 pub use kernel::{Kernel, KernelError, Robust};
-pub use key::{FactorId, Key, VariableId, Version};
+pub use key::{FactorId, FactorIndex, Key, VariableId, VariableIndex, Version};
 pub use manifold::{LieGroup, Manifold, VariableType};
 pub use noise::{Noise, NoiseError};
-pub use value::{Value, ValueRef, Values};
+pub use value::{Value, ValueRef};
+pub use values::Values;
