@@ -14,7 +14,7 @@ use crate::error::Error;
 use crate::files;
 use crate::options::{Common, Policy, Reading, Solving, StartFrom};
 use crate::progress::Progress;
-use crate::replay::{unsolvable, warn_of_landmarks};
+use crate::replay::warn_of_landmarks;
 use crate::report::{self, SCHEMA};
 use crate::table::{CONVENTION, Rows, milliseconds, number};
 
@@ -128,7 +128,7 @@ fn compare(replayer: &mut Replayer, every: usize, mut progress: Progress) -> Res
             step += 1;
             if step % every == 0 || step == total {
                 let sample = replayer.audit_sample();
-                audit.push(sample.map_err(|source| unsolvable(replayer, source))?);
+                audit.push(sample.map_err(|source| Error::unsolvable(replayer, source))?);
             }
             progress.step(|| replayer.error());
         }

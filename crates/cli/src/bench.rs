@@ -7,13 +7,13 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use evergraph::formats::Document;
 use evergraph::solver::{BatchReport, BatchSettings, Relinearization, Settings};
-use evergraph::{Phase, Profile, Replayer};
+use evergraph::{Objective, Phase, Profile, Replayer};
 use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::error::Error;
 use crate::options::{Common, Policy, Reading, Solving, StartFrom};
-use crate::replay::{unsolvable, warn_of_landmarks};
+use crate::replay::warn_of_landmarks;
 use crate::report::{self, SCHEMA, Times};
 use crate::table::{CONVENTION, Columns, Rows, milliseconds, number};
 
@@ -116,6 +116,8 @@ struct Run {
     cliques_eliminated: usize,
     relinearizations: usize,
     batch: Option<BatchReport>,
+    /// At the end.
+    objective: Objective,
     replayer: Replayer,
 }
 
@@ -137,6 +139,7 @@ impl Run {
             cliques_eliminated: 0,
             relinearizations: 0,
             batch: None,
+            objective: Objective::default(),
             replayer,
         };
         if arguments.batch {
@@ -146,6 +149,8 @@ impl Run {
         }
         run.times = Times::of(&run.updates, begun.elapsed());
         run.profile = *run.replayer.smoother().profile();
+        let objective = run.replayer.objective();
+        run.objective = objective.map_err(|source| Error::unsolvable(&run.replayer, source))?;
         Ok(run)
     }
 
@@ -165,7 +170,7 @@ impl Run {
         let start = Instant::now();
         let batch = self.replayer.smoother_mut().optimize(&BatchSettings::default());
         self.updates.push(done.update + start.elapsed());
-        let batch = batch.map_err(|source| unsolvable(&self.replayer, source))?;
+        let batch = batch.map_err(|source| Error::unsolvable(&self.replayer, source))?;
         let cliques = self.replayer.smoother().size().cliques;
         self.cliques_eliminated =
             done.report.cliques_eliminated + batch.iterations as usize * cliques;
@@ -245,7 +250,7 @@ impl Measured<'_> {
     fn report(&self) -> Result<Value, Error> {
         let Self { arguments, .. } = self;
         let run = self.last();
-        let objective = run.replayer.objective();
+        let objective = run.objective;
         let graph = run.replayer.graph();
         let priors = run.replayer.replay().gauge_priors().len();
         let mut settings = arguments.solving.json(arguments.start(), &self.settings)?;
@@ -290,7 +295,7 @@ impl Measured<'_> {
         rows.add("repeats", self.arguments.repeats);
         rows.add("threads", self.settings.threads);
         rows.add("steps (poses)", run.replayer.poses());
-        rows.add("error", number(run.replayer.error()));
+        rows.add("error", number(run.objective.error));
         rows.add("reading (once)", milliseconds(ms(self.reading)));
         rows.add("update time", times.update());
         match &run.batch {

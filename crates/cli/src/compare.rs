@@ -18,7 +18,7 @@ use crate::error::Error;
 use crate::files;
 use crate::options::{Common, Reading, Solving, StartFrom};
 use crate::reduction::{self, Reduction, gauge_factors, incomparable, warn_of_ends};
-use crate::replay::{unsolvable, warn_of_landmarks};
+use crate::replay::warn_of_landmarks;
 use crate::report::{self, SCHEMA};
 use crate::table::{Rows, milliseconds};
 
@@ -75,13 +75,17 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let batch = solve(&mut reduced).map_err(|error| error.with_gauge(prior, &document))?;
     let anchored = anchor_alike(&mut full, &reduced, &overview);
     let priors = anchored.map_err(|error| match error {
-        ReducedError::Full(source) => unsolvable(&full, *source),
+        ReducedError::Full(source) => Error::unsolvable(&full, *source),
         other => other.into(),
     })?;
     let gone = components_gone(&full, &reduced, &overview);
 
     let kept = shared_variables(&full, &reduced)?;
-    let (was, is) = (full.smoother().estimates(), reduced.smoother().estimates());
+    let estimates = |replayer: &Replayer| {
+        let all = replayer.smoother().estimates();
+        all.map_err(|source| Error::unsolvable(replayer, source))
+    };
+    let (was, is) = (estimates(&full)?, estimates(&reduced)?);
     let divergence = Divergence::of(
         Solved { graph: full.graph(), estimates: &was },
         Solved { graph: reduced.graph(), estimates: &is },
@@ -137,7 +141,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
 fn solve(replayer: &mut Replayer) -> Result<BatchReport, Error> {
     replayer.everything()?;
     let batch = optimize_to_the_end(replayer.smoother_mut());
-    batch.map_err(|source| unsolvable(replayer, source))
+    batch.map_err(|source| Error::unsolvable(replayer, source))
 }
 
 /// A reduced graph with ROBUST lines says itself which of its edges are robust: ordinary edges that stand

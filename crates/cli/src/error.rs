@@ -9,7 +9,7 @@ use evergraph::evaluate::{DivergenceError, EvaluateError, ReducedError};
 use evergraph::formats::{Document, FormatError, TrajectoryError, spell_id};
 use evergraph::simulate::WorldError;
 use evergraph::solver::Singular;
-use evergraph::{Component, Overview, ReplayerError, SmootherError, ThinningError};
+use evergraph::{Component, Overview, Replayer, ReplayerError, SmootherError, ThinningError};
 use thiserror::Error;
 
 use crate::stderr;
@@ -89,6 +89,12 @@ pub(crate) enum Error {
 }
 
 impl Error {
+    /// An error of a solver call that is no step, in the ids of the file.
+    pub(crate) fn unsolvable(replayer: &Replayer, source: SmootherError) -> Self {
+        let file = replayer.name().to_string();
+        Self::Unsolvable { file, message: replayer.explain(&source), source: Box::new(source) }
+    }
+
     /// Where nothing holds the gauge because none was asked for, says so.
     pub(crate) fn with_gauge(self, prior: Option<f64>, document: &Document) -> Self {
         let Self::Replay(ReplayerError::Step { pose, source, .. }) = &self else { return self };

@@ -79,9 +79,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
             continue;
         }
         let start = Start::of(&document, initial)?;
-        let objective = start.objective();
+        let objective = start.objective()?;
         let g2o_chi2 = (arguments.convention == Convention::G2o)
-            .then(|| start.g2o_chi2(arguments.reading.g2o_rotation));
+            .then(|| start.g2o_chi2(arguments.reading.g2o_rotation))
+            .transpose()?;
         if !(objective.error.is_finite() && g2o_chi2.is_none_or(f64::is_finite)) {
             let warning = format!(
                 "at {words}, the error is not finite: a residual or a weight is so large that its \

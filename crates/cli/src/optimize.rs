@@ -11,7 +11,7 @@ use serde_json::json;
 use crate::error::Error;
 use crate::options::{Common, Reading, Solving, StartFrom};
 use crate::outputs::Outputs;
-use crate::replay::{unsolvable, warn_of_landmarks};
+use crate::replay::warn_of_landmarks;
 use crate::report::{self, Report, Run, Status, Times};
 use crate::table::number;
 
@@ -131,11 +131,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let mut initial_error = None;
     let outcome = (|| {
         took += replayer.everything()?.update;
-        initial_error = Some(replayer.objective_at_linearization().error);
+        let initial = replayer.objective_at_linearization();
+        initial_error = Some(initial.map_err(|source| Error::unsolvable(&replayer, source))?.error);
         let start = Instant::now();
         let batch = replayer.smoother_mut().optimize(&batch_settings);
         took += start.elapsed();
-        batch.map_err(|source| unsolvable(&replayer, source))
+        batch.map_err(|source| Error::unsolvable(&replayer, source))
     })();
     run.time = Times::of(&[took], begun.elapsed());
     run.peak_rss_mb = report::peak_rss_mb();
@@ -144,7 +145,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         Err(error) => {
             let error = error.with_gauge(arguments.solving.prior.0, &document);
             if error.is_singular() {
-                let mut report = Report::new(&replayer, run);
+                let mut report = Report::new(&replayer, run)?;
                 report.add("iterations", 0);
                 report.add("initial_error", json!(initial_error));
                 report.add("gradient_norm", json!(null));
@@ -162,7 +163,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     };
     run.status = status;
     run.relinearizations = batch.iterations as usize * replayer.graph().variable_count();
-    let mut report = Report::new(&replayer, run);
+    let mut report = Report::new(&replayer, run)?;
     report.add("iterations", batch.iterations);
     report.add("initial_error", json!(initial_error));
     report.add("gradient_norm", batch.gradient_norm);

@@ -121,13 +121,14 @@ impl Prepared<'_> {
             self.write_trajectory(to, replayer)?;
         }
         if let Some(path) = &self.outputs.plot {
-            report.plot(replayer, times).save(path)?;
+            report.plot(replayer, times)?.save(path)?;
         }
         Ok(())
     }
 
     fn write_trajectory(&self, to: &TrajectoryPath, replayer: &Replayer) -> Result<(), Error> {
         let estimates = replayer.smoother().estimates();
+        let estimates = estimates.map_err(|source| Error::unsolvable(replayer, source))?;
         let values = replayer
             .replay()
             .ids()

@@ -37,11 +37,14 @@ impl Progress {
     }
 
     /// A step is done; `error` is called now and then.
-    pub(crate) fn step(&mut self, error: impl FnOnce() -> f64) {
+    pub(crate) fn step<E>(&mut self, error: impl FnOnce() -> Result<f64, E>) {
         let Some(bar) = &self.bar else { return };
         if self.looked.elapsed() >= self.pause {
             let start = Instant::now();
-            bar.set_message(format!(", error {}", number(error())));
+            // An error that cannot be told is no reason to stop; whoever needs it hears of that.
+            if let Ok(error) = error() {
+                bar.set_message(format!(", error {}", number(error)));
+            }
             self.pause = LOOK_EVERY.max(start.elapsed() * LOOK_SHARE);
             self.looked = Instant::now();
         }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use evergraph::formats::{Document, spell_id};
 use evergraph::solver::{BatchReport, BatchSettings, Settings, Status as BatchStatus};
-use evergraph::{Replayer, SmootherError};
+use evergraph::Replayer;
 use serde_json::json;
 use tracing::info;
 
@@ -145,7 +145,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         status,
         peak_rss_mb,
     };
-    let mut report = Report::new(&replayer, run);
+    let mut report = Report::new(&replayer, run)?;
     report.add("updates", driven.updates.len());
     report.add("batches", driven.batches);
     if let Some((batch, took)) = &batch {
@@ -199,7 +199,7 @@ fn drive(
         let start = Instant::now();
         let result = replayer.smoother_mut().optimize(&BatchSettings::default());
         progress.finish();
-        Some((result.map_err(|source| unsolvable(replayer, source))?, start.elapsed()))
+        Some((result.map_err(|source| Error::unsolvable(replayer, source))?, start.elapsed()))
     } else {
         None
     };
@@ -228,18 +228,13 @@ fn apply_steps(
         driven.refused += usize::from(done.report.relinearization_refused.is_some());
         driven.batches += usize::from(done.report.batch.is_some());
         if let Some(log) = log.as_deref_mut() {
-            let error = arguments.step_errors.then(|| replayer.error());
+            let error = arguments.step_errors.then(|| replayer.error()).transpose();
+            let error = error.map_err(|source| Error::unsolvable(replayer, source))?;
             log.add(&done, totals, error)?;
         }
         progress.step(|| replayer.error());
     }
     Ok(totals.step < total)
-}
-
-/// An error of a solver call that is no step.
-pub(crate) fn unsolvable(replayer: &Replayer, source: SmootherError) -> Error {
-    let file = replayer.name().to_string();
-    Error::Unsolvable { file, message: replayer.explain(&source), source: Box::new(source) }
 }
 
 fn settings_json(arguments: &Arguments, settings: &Settings) -> Result<serde_json::Value, Error> {

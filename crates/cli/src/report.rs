@@ -186,8 +186,10 @@ pub(crate) struct Run {
 }
 
 impl Report {
-    pub(crate) fn new(replayer: &Replayer, run: Run) -> Self {
-        let Objective { error, chi2 } = replayer.objective();
+    pub(crate) fn new(replayer: &Replayer, run: Run) -> Result<Self, Error> {
+        let unsolvable = |source| Error::unsolvable(replayer, source);
+        let Objective { error, chi2 } = replayer.objective().map_err(unsolvable)?;
+        let gauge_error = replayer.gauge_error().map_err(unsolvable)?;
         let size = replayer.smoother().size();
         let graph = replayer.graph();
         // A refused step is none of what is in the graph.
@@ -199,15 +201,15 @@ impl Report {
             .collect();
         let gauge_prior = priors.first().map(|first| Gauge {
             variable: first.id,
-            sigmas: vec![first.sigma; graph.dim_at(first.variable.index())],
+            sigmas: vec![first.sigma; first.dim],
             directions: first.directions,
-            error: replayer.gauge_error(),
+            error: gauge_error,
             variables: priors.iter().map(|prior| prior.id).collect(),
             fixed: first.fixed,
         });
         let in_graph = |variable| graph.check_variable(variable).is_ok();
         let replay = replayer.replay();
-        Self {
+        Ok(Self {
             schema: SCHEMA,
             command: run.command,
             dataset: run.dataset,
@@ -230,7 +232,7 @@ impl Report {
             held_back: replay.held_back(),
             status: run.status,
             extra: Map::new(),
-        }
+        })
     }
 
     pub(crate) fn add(&mut self, field: &str, value: impl Into<Value>) {
@@ -247,17 +249,22 @@ impl Report {
     }
 
     /// The picture of a run.
-    pub(crate) fn plot(&self, replayer: &Replayer, times: Option<Vec<(StepName, f64)>>) -> Plot {
+    pub(crate) fn plot(
+        &self,
+        replayer: &Replayer,
+        times: Option<Vec<(StepName, f64)>>,
+    ) -> Result<Plot, Error> {
         let (error, chi2) = (number(self.error), number(self.chi2));
-        Plot {
+        let map = plot::Map::of(replayer).map_err(|source| Error::unsolvable(replayer, source))?;
+        Ok(Plot {
             title: self.dataset.clone(),
             subtitle: [
                 format!("evergraph {}: error {error}, chi2 {chi2}", self.command),
                 CONVENTION.into(),
             ],
-            map: plot::Map::of(replayer),
+            map,
             times,
-        }
+        })
     }
 
     pub(crate) fn save(&self, path: Option<&Path>) -> Result<(), Error> {

@@ -63,6 +63,15 @@ pub enum DivergenceError {
         /// The variable.
         variable: VariableId,
     },
+    /// A variable that is fixed in one of the graphs only.
+    #[error(
+        "variable {variable} of the full graph is fixed in one of the graphs and free in the other; what is \
+         fixed has no covariance to compare. Fix it in both or in none"
+    )]
+    Fixed {
+        /// The variable.
+        variable: VariableId,
+    },
     /// A variable in two pairs.
     #[error("variable {variable} is paired twice; pair each variable once")]
     Twice {
@@ -235,7 +244,10 @@ impl<'a> Pairs<'a> {
                 return Err(DivergenceError::Twice { variable: in_reduced });
             }
             let (was, is) = (full.estimates.value(in_full)?, reduced.estimates.value(in_reduced)?);
-            let (index, kind) = (in_reduced.index(), was.kind());
+            let (index, kind) = (reduced.graph.variable_index(in_reduced)?, was.kind());
+            if full.graph.is_fixed(in_full)? != reduced.graph.is_fixed_at(index) {
+                return Err(DivergenceError::Fixed { variable: in_full });
+            }
             if !std::ptr::eq(kind, reduced.graph.kind_at(index))
                 || was.dim() != reduced.graph.dim_at(index)
             {
@@ -290,16 +302,17 @@ impl<'a> Pairs<'a> {
         let (mut trace, mut mean) = (0.0, 0.0);
         for f in graph.factor_indices() {
             let mut block = vec![0.0; graph.linearization_len(f)];
-            graph.linearize(f, &self.points, &mut block);
+            graph.linearize(f, &self.points, &mut block)?;
             let rows = graph.rows_at(f);
             let jacobian = &block[..block.len() - rows];
             let jacobian = DMatrixView::from_slice(jacobian, rows, jacobian.len() / rows.max(1));
             let mut ids = Vec::new();
             let mut moved = Vec::new();
-            for key in graph.factor_at(f).keys() {
-                let in_full = self.to_full.get(key).and_then(|id| all.variable(*id));
-                ids.push(in_full.ok_or(DivergenceError::Unpaired { variable: *key })?);
-                moved.extend_from_slice(&self.moved[graph.tangent_range(key.index())]);
+            for &index in graph.unknowns_at(f) {
+                let variable = graph.variable_id(index);
+                let in_full = self.to_full.get(&variable).and_then(|id| all.variable(*id));
+                ids.push(in_full.ok_or(DivergenceError::Unpaired { variable })?);
+                moved.extend_from_slice(&self.moved[graph.tangent_range(index)]);
             }
             let sigma = covariances.joint(&ids).map_err(DivergenceError::Full)?;
             trace += traced(&jacobian, &sigma);

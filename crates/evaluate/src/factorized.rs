@@ -21,7 +21,7 @@ pub(crate) struct Factorized {
 
 impl Factorized {
     /// Factorizes `graph` at `values`. Variables that are not `is_free` are held where they are, so
-    /// that Λ is the block of the others in the information of all.
+    /// that Λ is the block of the others in the information of all; so are fixed variables of the graph.
     ///
     /// # Errors
     /// [`SmootherError`], in the ids of `graph`.
@@ -34,7 +34,9 @@ impl Factorized {
         let mut smoother = Smoother::new(*settings)?;
         let mut change = smoother.change();
         let mut variables = BTreeMap::new();
-        for id in graph.variables().filter(|id| is_free(*id)) {
+        for id in
+            graph.unknown_indices().map(|index| graph.variable_id(index)).filter(|id| is_free(*id))
+        {
             variables.insert(id, change.add_value(values.value(id)?.to_value()));
         }
         let mut factors = BTreeMap::new();
@@ -92,7 +94,13 @@ impl Part {
                 None => Argument::Held(values.value(*key)?.to_value()),
             });
         }
-        Ok(Self { whole, keys, arguments, columns: graph.columns_at(id.index()).to_vec() })
+        let mut columns = vec![0];
+        let mut width = 0;
+        for key in whole.keys() {
+            width += values.value(*key)?.dim() as u32;
+            columns.push(width);
+        }
+        Ok(Self { whole, keys, arguments, columns })
     }
 
     /// The arguments of the whole factor.

@@ -68,7 +68,7 @@ impl Map {
     fn composed(document: &Document) -> Result<Self, EvaluateError> {
         let start = Start::of(document, Initial::FromOdometry)?;
         let rows = start.rows().max(1) as f64;
-        let sigmas = (start.objective().chi2 / rows).sqrt();
+        let sigmas = (start.objective()?.chi2 / rows).sqrt();
         if sigmas.is_nan() || sigmas >= NOISE_FREE {
             return Err(EvaluateError::Contradiction { file: document.name().into(), sigmas });
         }

@@ -22,7 +22,8 @@ pub enum ReducedError {
         /// The reason.
         problem: String,
     },
-    /// The full graph cannot be solved when it is held at the poses at which the reduced one is.
+    /// The full graph has no estimate, or cannot be solved when it is held at the poses at which the reduced
+    /// one is.
     #[error(transparent)]
     Full(Box<SmootherError>),
 }
@@ -37,6 +38,7 @@ pub fn shared_values(
     reduced: &Document,
 ) -> Result<Vec<(u64, Value)>, ReducedError> {
     let estimates = full.smoother().estimates();
+    let estimates = estimates.map_err(|source| ReducedError::Full(Box::new(source)))?;
     let ids = reduced.ids().into_iter();
     ids.map(|(id, kind)| {
         let replay = full.replay();

@@ -30,19 +30,26 @@ impl Start {
         graph.commit(staged);
         let mut points = vec![0.0; graph.value_len()];
         for (variable, value) in change.new_variables() {
-            points[graph.value_range(variable.index())].copy_from_slice(value.storage());
+            let range = graph.value_range(graph.variable_index(*variable)?);
+            points[range].copy_from_slice(value.storage());
         }
         Ok(Self { graph, points, ids: replay.ids().collect() })
     }
 
     /// Error and chi2 in this library's convention.
-    pub fn objective(&self) -> Objective {
-        Objective::at(&self.graph, &self.points, |_| true)
+    ///
+    /// # Errors
+    /// [`EvaluateError::Graph`] for a factor that panics.
+    pub fn objective(&self) -> Result<Objective, EvaluateError> {
+        Ok(Objective::at(&self.graph, &self.points, |_| true)?)
     }
 
     /// chi2 in g2o's convention; `rotation` as the document was read.
-    pub fn g2o_chi2(&self, rotation: G2oRotation) -> f64 {
-        conventions::g2o_chi2(&self.graph, &self.points, rotation)
+    ///
+    /// # Errors
+    /// [`EvaluateError::Graph`] for a factor that panics.
+    pub fn g2o_chi2(&self, rotation: G2oRotation) -> Result<f64, EvaluateError> {
+        Ok(conventions::g2o_chi2(&self.graph, &self.points, rotation)?)
     }
 
     /// Rows of all residuals together.
@@ -52,9 +59,9 @@ impl Start {
 
     /// The start values by the file's ids, in the order of arrival.
     pub fn values(&self) -> impl Iterator<Item = (u64, Value)> {
-        self.ids.iter().map(|(id, variable)| {
-            let index = variable.index();
-            (*id, self.graph.value(index, &self.points[self.graph.value_range(index)]))
+        self.ids.iter().filter_map(|(id, variable)| {
+            let index = self.graph.variable_index(*variable).ok()?;
+            Some((*id, self.graph.value(index, &self.points[self.graph.value_range(index)])))
         })
     }
 }

@@ -53,7 +53,7 @@ pub(crate) fn solve<const D: usize>(
         }
     }
     smoother.apply(change)?;
-    let estimates = smoother.estimates();
+    let estimates = smoother.estimates()?;
     let solved = |end: &End<D>| match end {
         End::Known(vector) => Ok(*vector),
         End::Free(key) => Ok(SVector::from_column_slice(estimates.get(*key)?.as_slice())),

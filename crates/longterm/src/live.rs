@@ -61,7 +61,7 @@ impl<D: FnMut()> Remover for Live<'_, D> {
     type Error = ThinningFailure;
 
     fn slot(&self, node: VariableId) -> Result<usize, ThinningFailure> {
-        Ok(node.index())
+        Ok(self.smoother.graph().variable_index(node).map_err(RemovalError::from)?.index())
     }
 
     fn degree(&self, node: VariableId) -> Result<usize, ThinningFailure> {

@@ -67,7 +67,7 @@ impl Neighborhood {
             return Err(RemovalError::NoBlanket { variable: first });
         }
         overlay.check_last_pose(removed, &blanket)?;
-        let dim = blanket.iter().map(|id| overlay.graph.dim_at(id.index())).sum();
+        let dim = blanket.iter().map(|id| overlay.graph.dim_at(overlay.at(*id))).sum();
         if dim > options.largest_blanket {
             let largest = options.largest_blanket;
             return Err(RemovalError::LargeBlanket { variable: first, dim, largest });

@@ -4,7 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use evergraph_model::belief::{Estimates, LinearizedEstimate};
-use evergraph_model::{Factor, FactorId, Graph, GraphError, Value, VariableId};
+use evergraph_model::{
+    Factor, FactorId, FactorIndex, Graph, GraphError, Value, VariableId, VariableIndex,
+};
 use nalgebra::DVector;
 
 use crate::error::RemovalError;
@@ -72,16 +74,27 @@ impl<'a> Overlay<'a> {
 
     /// The slot of a variable: orders that decide arithmetic are by slot, whatever the ids are.
     pub(crate) fn slot(&self, variable: VariableId) -> usize {
-        variable.index()
+        self.at(variable).index()
+    }
+
+    /// The slot of a variable that was [checked](Self::check).
+    pub(crate) fn at(&self, variable: VariableId) -> VariableIndex {
+        self.graph
+            .variable_index(variable)
+            .expect("variables are checked before they are planned for")
+    }
+
+    fn factor_at(&self, factor: FactorId) -> FactorIndex {
+        self.graph.factor_index(factor).expect("factors are those of the graph")
     }
 
     /// Tangent dimensions of some variables.
     pub(crate) fn dims(&self, variables: &[VariableId]) -> Vec<usize> {
-        variables.iter().map(|id| self.graph.dim_at(id.index())).collect()
+        variables.iter().map(|id| self.graph.dim_at(self.at(*id))).collect()
     }
 
     fn is_pose(&self, variable: VariableId) -> bool {
-        pose_of(self.graph.kind_at(variable.index())).is_some()
+        pose_of(self.graph.kind_at(self.at(variable))).is_some()
     }
 
     /// Refuses to take the last poses of a graph out. A pose of `blanket`, the variables beside the removed ones, is
@@ -144,14 +157,14 @@ impl<'a> Overlay<'a> {
                 }
                 let mut estimate = value.storage().to_vec();
                 value.kind().retract(value.storage(), &delta, &mut estimate);
-                let estimate = self.graph.value(id.index(), &estimate);
+                let estimate = self.graph.value(self.at(id), &estimate);
                 Ok(Member::at(id, self.checked(id, estimate)?))
             };
         variables.iter().zip(found).map(member).collect()
     }
 
     fn checked(&self, variable: VariableId, value: Value) -> Result<Value, RemovalError> {
-        let index = variable.index();
+        let index = self.at(variable);
         let fits = value.kind() == self.graph.kind_at(index)
             && value.dim() == self.graph.dim_at(index)
             && value.storage().len() == self.graph.value_range(index).len();
@@ -171,10 +184,9 @@ impl<'a> Overlay<'a> {
         &self,
         variable: VariableId,
     ) -> impl Iterator<Item = (Source, &dyn Factor)> {
-        let old = self.graph.factors_at(variable.index()).iter().filter_map(|&f| {
-            let slot = f as usize;
-            let stays = !self.dropped.contains(&slot);
-            stays.then(|| (Source::Graph(self.graph.factor_id(slot)), self.graph.factor_at(slot)))
+        let old = self.graph.factors_at(self.at(variable)).iter().filter_map(|&f| {
+            let stays = !self.dropped.contains(&f.index());
+            stays.then(|| (Source::Graph(self.graph.factor_id(f)), self.graph.factor_at(f)))
         });
         let new = self.added_on.get(&variable).into_iter().flatten();
         old.chain(new.map(|&k| (Source::Planned(k), &*self.added[k].factor)))
@@ -186,8 +198,8 @@ impl<'a> Overlay<'a> {
         let mut seen: BTreeSet<VariableId> = start.iter().copied().collect();
         let mut queue = start.to_vec();
         while let Some(variable) = queue.pop() {
-            for &factor in self.graph.factors_at(variable.index()) {
-                for &key in self.graph.factor_at(factor as usize).keys() {
+            for &factor in self.graph.factors_at(self.at(variable)) {
+                for &key in self.graph.factor_at(factor).keys() {
                     if seen.insert(key) {
                         if !self.removed.contains(&key) {
                             return true;
@@ -205,7 +217,7 @@ impl<'a> Overlay<'a> {
         match source {
             Source::Graph(id) => {
                 let factor = self.graph.factor(id).ok()?;
-                (!self.dropped.contains(&id.index())).then_some(&**factor)
+                (!self.dropped.contains(&self.factor_at(id).index())).then_some(&**factor)
             }
             Source::Planned(k) => {
                 self.added.get(k).filter(|added| !added.is_absorbed).map(|added| &*added.factor)
@@ -224,7 +236,7 @@ impl<'a> Overlay<'a> {
         for source in dropped {
             match source {
                 Source::Graph(id) => {
-                    self.dropped.insert(id.index());
+                    self.dropped.insert(self.factor_at(id).index());
                 }
                 Source::Planned(k) => {
                     self.added[k].is_absorbed = true;
@@ -252,7 +264,7 @@ impl<'a> Overlay<'a> {
 
     /// The graph's factors that are absorbed, by slot.
     pub(crate) fn dropped(&self) -> impl Iterator<Item = FactorId> {
-        self.dropped.iter().map(|&slot| self.graph.factor_id(slot))
+        self.dropped.iter().map(|&slot| self.graph.factor_id(FactorIndex::new(slot)))
     }
 
     /// All factors that steps have planned, in that order.

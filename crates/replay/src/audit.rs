@@ -53,13 +53,13 @@ impl AuditSample {
         settings: &BatchSettings,
         mut include: impl FnMut(FactorId) -> bool,
     ) -> Result<Self, SmootherError> {
-        let error = smoother.error_of(&mut include);
-        let (optimum, status) = if smoother.error() < NEGLIGIBLE {
+        let error = smoother.error_of(&mut include)?;
+        let (optimum, status) = if smoother.error()? < NEGLIGIBLE {
             (error, Status::Converged)
         } else {
             let mut copy = smoother.clone();
             let status = copy.optimize(settings)?.status;
-            (copy.error_of(&mut include), status)
+            (copy.error_of(&mut include)?, status)
         };
         let excess = error - optimum;
         let relative_excess = (optimum >= NEGLIGIBLE).then(|| excess / optimum);
@@ -151,7 +151,7 @@ mod tests {
             let steps = replayer.smoother().steps();
             if steps.is_multiple_of(20) {
                 let sample = replayer.audit_sample().unwrap();
-                assert_eq!((sample.step, sample.error), (steps, replayer.error()));
+                assert_eq!((sample.step, sample.error), (steps, replayer.error().unwrap()));
                 audit.push(sample);
             }
         }

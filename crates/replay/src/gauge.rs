@@ -305,6 +305,6 @@ impl Replay {
             (factor.map_err(|error| bad(&place, error))?, kind.dim())
         };
         let (variable, fixed) = (handle.id(), self.fixed[pose]);
-        Ok(Some(GaugePrior { id, variable, factor, sigma, directions, fixed }))
+        Ok(Some(GaugePrior { id, variable, factor, sigma, dim: kind.dim(), directions, fixed }))
     }
 }

@@ -1,6 +1,6 @@
 //! The objective of a map: error and chi2 of its factors.
 
-use evergraph_model::{Arguments, FactorId, Graph};
+use evergraph_model::{FactorId, Graph, GraphError};
 
 /// What a map costs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -14,35 +14,23 @@ pub struct Objective {
 impl Objective {
     /// Evaluates the factors that `include` names at `points`, which are laid out as
     /// [`Graph::value_range`] says.
-    pub fn at(graph: &Graph, points: &[f64], mut include: impl FnMut(FactorId) -> bool) -> Self {
+    ///
+    /// # Errors
+    /// [`GraphError::FactorPanicked`].
+    pub fn at(
+        graph: &Graph,
+        points: &[f64],
+        mut include: impl FnMut(FactorId) -> bool,
+    ) -> Result<Self, GraphError> {
         let mut sum = Self::default();
         let mut residual = Vec::new();
         for f in graph.factor_indices().filter(|&f| include(graph.factor_id(f))) {
-            let factor = graph.factor_at(f);
             residual.clear();
             residual.resize(graph.rows_at(f), 0.0);
-            with_arguments(graph, f, points, |at| factor.residual(at, &mut residual));
-            sum.error += factor.error(&residual);
-            sum.chi2 += squared_norm(&residual);
+            graph.residual(f, points, &mut residual)?;
+            sum.error += graph.factor_error(f, points)?;
+            sum.chi2 += residual.iter().map(|r| r * r).sum::<f64>();
         }
-        sum
+        Ok(sum)
     }
-}
-
-fn squared_norm(residual: &[f64]) -> f64 {
-    residual.iter().map(|r| r * r).sum()
-}
-
-fn with_arguments(
-    graph: &Graph,
-    factor: usize,
-    points: &[f64],
-    evaluate: impl FnOnce(&Arguments<'_>),
-) {
-    let storages: Vec<&[f64]> = graph
-        .variables_at(factor)
-        .iter()
-        .map(|&v| &points[graph.value_range(v as usize)])
-        .collect();
-    evaluate(&Arguments::new(&storages));
 }

@@ -55,6 +55,8 @@ pub struct GaugePrior {
     pub factor: FactorId,
     /// Its standard deviation, in metres and radians.
     pub sigma: f64,
+    /// Directions that the pose has: 3 or 6.
+    pub dim: usize,
     /// How many directions of the pose it holds: all, or those that absolute measurements leave
     /// free.
     pub directions: usize,

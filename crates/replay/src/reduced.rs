@@ -37,7 +37,7 @@ impl Replayer {
         graph.commit(staged);
         let ids: HashMap<VariableId, u64> =
             self.replay().ids().map(|(id, variable)| (variable, id)).collect();
-        let estimates = reduced.estimates();
+        let estimates = reduced.estimates()?;
         let document = Document::from_graph_with(
             name,
             &graph,

@@ -58,7 +58,7 @@ impl Replayer {
 
     /// Asks for all estimates after every step instead of the newest pose's, as a program does that
     /// needs the whole map each time; counted in [`Replayed::update`]. They are
-    /// [`Smoother::kept_estimates`], to within [`Settings::back_substitution_tolerance`].
+    /// [`Smoother::cached_estimates`], to within [`Settings::back_substitution_tolerance`].
     #[must_use]
     pub fn with_full_estimate(mut self, full: bool) -> Self {
         self.full_estimate = full;
@@ -81,7 +81,10 @@ impl Replayer {
         let report = self.smoother.apply(change).map_err(|source| self.at(step.pose, source))?;
         if self.full_estimate {
             let tolerance = self.smoother.settings().back_substitution_tolerance;
-            std::hint::black_box(self.smoother.kept_estimates(tolerance));
+            let all = self.smoother.cached_estimates(tolerance).map(|all| {
+                std::hint::black_box(all);
+            });
+            all.map_err(|source| self.at(step.pose, source))?;
         } else {
             let newest = self.smoother.estimate_value(step.pose);
             std::hint::black_box(newest.map_err(|source| self.at(step.pose, source))?);
@@ -103,55 +106,78 @@ impl Replayer {
     }
 
     /// The objective over the file's factors, at the estimate: gauge priors are left out.
-    pub fn error(&self) -> f64 {
+    ///
+    /// # Errors
+    /// [`SmootherError`] for users' code that panics.
+    pub fn error(&self) -> Result<f64, SmootherError> {
         let priors = self.priors();
         // The sum of no terms is -0.
-        self.smoother.error_of(|factor| !priors.contains(&factor)) + 0.0
+        Ok(self.smoother.error_of(|factor| !priors.contains(&factor))? + 0.0)
     }
 
     /// The objective of the gauge priors alone.
-    pub fn gauge_error(&self) -> f64 {
+    ///
+    /// # Errors
+    /// [`SmootherError`] for users' code that panics.
+    pub fn gauge_error(&self) -> Result<f64, SmootherError> {
         let priors = self.priors();
-        self.smoother.error_of(|factor| priors.contains(&factor)) + 0.0
+        Ok(self.smoother.error_of(|factor| priors.contains(&factor))? + 0.0)
     }
 
     /// Error and chi2 over the file's factors, at the estimate.
-    pub fn objective(&self) -> Objective {
-        let estimates = self.smoother.estimates();
+    ///
+    /// # Errors
+    /// [`SmootherError`] for users' code that panics.
+    pub fn objective(&self) -> Result<Objective, SmootherError> {
+        let estimates = self.smoother.estimates()?;
         self.objective_at(estimates.iter().map(|(variable, value)| (variable, value.to_value())))
     }
 
     /// Error and chi2 over the file's factors, at the linearization points: right after
     /// [`everything`](Self::everything) without relinearization, at the start values.
-    pub fn objective_at_linearization(&self) -> Objective {
+    ///
+    /// # Errors
+    /// [`SmootherError`] for users' code that panics.
+    pub fn objective_at_linearization(&self) -> Result<Objective, SmootherError> {
         let point = |variable| Some((variable, self.smoother.linearization_point(variable).ok()?));
         self.objective_at(self.graph().variables().filter_map(point))
     }
 
-    fn objective_at(&self, values: impl Iterator<Item = (VariableId, Value)>) -> Objective {
+    fn objective_at(
+        &self,
+        values: impl Iterator<Item = (VariableId, Value)>,
+    ) -> Result<Objective, SmootherError> {
         let priors = self.priors();
-        Objective::at(self.graph(), &self.laid_out(values), |factor| !priors.contains(&factor))
+        let points = self.laid_out(values)?;
+        Ok(Objective::at(self.graph(), &points, |factor| !priors.contains(&factor))?)
     }
 
     /// Values where the graph has them, as [`Graph::value_range`] says.
-    fn laid_out(&self, values: impl Iterator<Item = (VariableId, Value)>) -> Vec<f64> {
+    fn laid_out(
+        &self,
+        values: impl Iterator<Item = (VariableId, Value)>,
+    ) -> Result<Vec<f64>, SmootherError> {
         let mut points = vec![0.0; self.graph().value_len()];
         for (variable, value) in values {
-            points[self.graph().value_range(variable.index())].copy_from_slice(value.storage());
+            let range = self.graph().value_range(self.graph().variable_index(variable)?);
+            points[range].copy_from_slice(value.storage());
         }
-        points
+        Ok(points)
     }
 
     /// The line of the file's factor that costs most at the estimate, where one costs anything: where
     /// to look when the error is not finite.
     pub fn costliest_line(&self) -> Option<usize> {
-        let estimates = self.smoother.estimates();
-        let points = self.laid_out(estimates.iter().map(|(id, value)| (id, value.to_value())));
-        let error = |factor: FactorId| self.graph().factor_error(factor.index(), &points);
+        let estimates = self.smoother.estimates().ok()?;
+        let points =
+            self.laid_out(estimates.iter().map(|(id, value)| (id, value.to_value()))).ok()?;
+        let error = |factor: FactorId| {
+            let graph = self.graph();
+            graph.factor_error(graph.factor_index(factor)?, &points)
+        };
         let factors = self.replay.factors().iter();
         factors
-            .filter(|(factor, _)| self.graph().check_factor(*factor).is_ok())
-            .map(|(factor, line)| (error(*factor), *line))
+            .filter_map(|(factor, line)| Some((error(*factor).ok()?, *line)))
             .filter(|(error, _)| *error > 0.0)
             .max_by(|a, b| a.0.total_cmp(&b.0))
             .map(|(_, line)| line)
@@ -178,7 +204,7 @@ impl Replayer {
     pub fn is_settled(&self, tolerance: f64) -> Result<bool, SmootherError> {
         const NEGLIGIBLE: f64 = 1e-6;
         let mut copy = self.smoother.clone();
-        let before = copy.error();
+        let before = copy.error()?;
         let step = BatchSettings {
             method: Method::GaussNewton,
             max_iterations: 1,
@@ -263,7 +289,7 @@ impl Replayer {
     /// # Errors
     /// [`ReplayerError::Format`] when it is not the document that is replayed.
     pub fn solution(&self, document: &Document) -> Result<Document, ReplayerError> {
-        let estimates = self.smoother.estimates();
+        let estimates = self.smoother.estimates()?;
         let vertices = self
             .replay
             .ids()

@@ -6,7 +6,7 @@ use nalgebra::DMatrix;
 
 use crate::covariance::Covariances;
 use crate::error::SmootherError;
-use crate::kept::Estimates;
+use crate::estimate_cache::Estimates;
 use crate::smoother::Smoother;
 
 /// Back-substitutes only what is asked for, which suits a few nodes of a large map. For many nodes
@@ -17,14 +17,20 @@ impl belief::Estimates for Smoother {
     }
 
     fn estimates_of(&self, variables: &[VariableId]) -> Result<Vec<Value>, GraphError> {
-        self.estimate_values(variables)
+        self.estimate_values(variables).map_err(|error| match error {
+            SmootherError::Graph(error) => error,
+            _ => GraphError::UnknownVariable { variable: variables[0] },
+        })
     }
 
     fn linearized(
         &self,
         variables: &[VariableId],
     ) -> Result<Option<Vec<LinearizedEstimate>>, GraphError> {
-        let deltas = self.deltas(variables)?;
+        let deltas = self.deltas(variables).map_err(|error| match error {
+            SmootherError::Graph(error) => error,
+            _ => GraphError::UnknownVariable { variable: variables[0] },
+        })?;
         let found = variables.iter().zip(deltas).map(|(&variable, delta)| {
             let point = self.linearization_point(variable);
             let point = point.map_err(|error| of_graph(error, variable))?;
@@ -44,7 +50,9 @@ fn of_graph(error: SmootherError, variable: VariableId) -> GraphError {
 
 impl belief::Estimates for Estimates<'_> {
     fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
-        self.value(variable).map(|value| value.to_value())
+        self.value(variable)
+            .map(|value| value.to_value())
+            .map_err(|error| of_graph(error, variable))
     }
 }
 

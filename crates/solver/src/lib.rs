@@ -45,6 +45,7 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
+mod background;
 mod batch;
 mod belief;
 mod covariance;
@@ -52,12 +53,17 @@ mod dense;
 mod diagnose;
 mod eliminate;
 mod error;
+mod estimate_cache;
+mod factor_query;
+mod factorization;
+mod index;
 mod inspect;
-mod install;
-mod kept;
 mod linearization;
+mod optimize;
 mod optimum;
 mod ordering;
+mod pending;
+mod planner;
 mod pool;
 mod profile;
 mod quadratic;
@@ -68,15 +74,16 @@ mod settings;
 mod smoother;
 mod solve;
 mod symbolic;
+#[cfg(test)]
+mod tests;
 mod tree;
-mod undo;
-mod update;
 
 pub use batch::{BatchReport, BatchSettings, Method, Reason, Status};
 pub use covariance::Covariances;
 pub use error::{FreeVariable, Singular, SmootherError};
+pub use estimate_cache::Estimates;
+pub use factor_query::FactorLinearization;
 pub use inspect::LinearSystem;
-pub use kept::Estimates;
 pub use optimum::optimize_to_the_end;
 pub use profile::{Phase, Profile};
 pub use report::{FactorizationSize, Report};

@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use evergraph::Replayer;
 use evergraph::model::{Point2, Point3, Pose2, Pose3, Value, VariableId};
+use evergraph::{Replayer, SmootherError};
 
 /// A map from above.
 #[derive(Clone, Debug, Default)]
@@ -19,8 +19,8 @@ pub(crate) struct Map {
 
 impl Map {
     /// The current estimate.
-    pub fn of(replayer: &Replayer) -> Self {
-        let estimates = replayer.smoother().estimates();
+    pub fn of(replayer: &Replayer) -> Result<Self, SmootherError> {
+        let estimates = replayer.smoother().estimates()?;
         let mut map = Self::default();
         let mut poses: Vec<[f64; 2]> = Vec::new();
         let mut place_of: HashMap<VariableId, usize> = HashMap::new();
@@ -43,7 +43,7 @@ impl Map {
             *pairs.entry([a.max(b), a.min(b)]).or_default() += factor.residual_dim();
         }
         map.connect(&poses, &pairs);
-        map
+        Ok(map)
     }
 
     /// Makes lines of the poses; `pairs` holds the later of two poses first. Each pose goes on from

@@ -9,7 +9,7 @@ pub(crate) use arguments::Arguments;
 use evergraph::evaluate::{Divergence, GraphSize, Solved};
 use evergraph::formats::WriteOptions;
 use evergraph::solver::BatchReport;
-use evergraph::{Replayer, Rules, Thinning, optimize_to_the_end};
+use evergraph::{Replayer, Rules, Smoother, Thinning, optimize_to_the_end};
 use serde_json::{Map, json};
 
 use self::summary::Summary;
@@ -20,7 +20,7 @@ use crate::nodes::Candidates;
 use crate::options::StartFrom;
 use crate::progress::Progress;
 use crate::reduction::{self, Reduction, gauge_factors, incomparable, warn_of_ends};
-use crate::replay::{unsolvable, warn_of_landmarks};
+use crate::replay::warn_of_landmarks;
 use crate::report::{self, SCHEMA};
 use crate::table::{Rows, milliseconds};
 
@@ -46,7 +46,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let first = match first {
         Some(first) => first,
         None => {
-            let first = optimize_to_the_end(&mut full).map_err(|e| unsolvable(&replayer, e))?;
+            let first =
+                optimize_to_the_end(&mut full).map_err(|e| Error::unsolvable(&replayer, e))?;
             warn_of_ends(&[("full", &first)], output);
             first
         }
@@ -65,7 +66,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         convert::tell(&written, path, output);
     }
     let priors = gauge_factors(&replayer);
-    let (was, is) = (full.estimates(), reduced.estimates());
+    let estimates = |smoother: &Smoother| {
+        let all = smoother.estimates();
+        all.map_err(|source| Error::unsolvable(&replayer, source))
+    };
+    let (was, is) = (estimates(&full)?, estimates(&reduced)?);
     let divergence = Divergence::of(
         Solved { graph: full.graph(), estimates: &was },
         Solved { graph: reduced.graph(), estimates: &is },
@@ -115,7 +120,7 @@ fn start(
         return Ok((nodes, None));
     }
     let batch = optimize_to_the_end(replayer.smoother_mut());
-    Ok((nodes, Some(batch.map_err(|source| unsolvable(replayer, source))?)))
+    Ok((nodes, Some(batch.map_err(|source| Error::unsolvable(replayer, source))?)))
 }
 
 fn thin(
