@@ -49,7 +49,18 @@ impl Attitude {
         noise: Noise,
     ) -> Result<Self, FactorError> {
         let world_direction = unit("Attitude", "world direction", world_direction)?;
-        let measurement = Sphere::at("Attitude", "measurement", measurement)?;
+        let measurement = unit("Attitude", "measurement", measurement)?;
+        Self::of_units(key, world_direction, measurement, noise)
+    }
+
+    /// [`new`](Self::new) for directions of length one.
+    pub(crate) fn of_units(
+        key: Key<Pose3>,
+        world_direction: Vector3<f64>,
+        measurement: Vector3<f64>,
+        noise: Noise,
+    ) -> Result<Self, FactorError> {
+        let measurement = Sphere::at_unit(measurement);
         let sqrt_information = fixed("Attitude", &noise)?;
         Ok(Self { keys: [key.id()], world_direction, measurement, noise, sqrt_information })
     }

@@ -8,7 +8,7 @@ use nalgebra::{Matrix2, Matrix3, Matrix3x2, SMatrix, Vector2, Vector3};
 use crate::cross::times_skew;
 use crate::error::{FactorError, distance, fixed, fixed_shape};
 use crate::positioned::{Positioned, polar};
-use crate::sphere::Sphere;
+use crate::sphere::{Sphere, unit};
 
 /// The direction of something in space: the logarithm on the sphere of the direction to the target
 /// at the measured one, radians.
@@ -62,7 +62,17 @@ impl<B: Positioned<3>> Bearing3<B> {
         direction: Vector3<f64>,
         noise: Noise,
     ) -> Result<Self, FactorError> {
-        let measurement = Sphere::at("Bearing3", "direction", direction)?;
+        Self::of_unit(pose, target, unit("Bearing3", "direction", direction)?, noise)
+    }
+
+    /// [`new`](Self::new) for a direction of length one.
+    pub(crate) fn of_unit(
+        pose: Key<Pose3>,
+        target: Key<B>,
+        direction: Vector3<f64>,
+        noise: Noise,
+    ) -> Result<Self, FactorError> {
+        let measurement = Sphere::at_unit(direction);
         let sqrt_information = fixed("Bearing3", &noise)?;
         let keys = [pose.id(), target.id()];
         Ok(Self { keys, measurement, noise, sqrt_information, kind: PhantomData })
@@ -84,7 +94,19 @@ impl<B: Positioned<3>> BearingRange3<B> {
         range: f64,
         noise: Noise,
     ) -> Result<Self, FactorError> {
-        let direction = Sphere::at("BearingRange3", "direction", direction)?;
+        let direction = unit("BearingRange3", "direction", direction)?;
+        Self::of_unit(pose, target, direction, range, noise)
+    }
+
+    /// [`new`](Self::new) for a direction of length one.
+    pub(crate) fn of_unit(
+        pose: Key<Pose3>,
+        target: Key<B>,
+        direction: Vector3<f64>,
+        range: f64,
+        noise: Noise,
+    ) -> Result<Self, FactorError> {
+        let direction = Sphere::at_unit(direction);
         let range = distance("BearingRange3", range)?;
         let sqrt_information = fixed("BearingRange3", &noise)?;
         let keys = [pose.id(), target.id()];

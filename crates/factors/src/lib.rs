@@ -68,6 +68,7 @@ pub mod autodiff;
 mod bearing2;
 mod bearing3;
 mod between;
+pub mod catalogue;
 mod cross;
 mod differences;
 mod error;

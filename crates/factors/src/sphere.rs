@@ -19,15 +19,6 @@ pub(crate) struct Sphere {
 }
 
 impl Sphere {
-    /// At `direction`, which is normalized; `factor` and `what` name it where it has no length.
-    pub(crate) fn at(
-        factor: &'static str,
-        what: &'static str,
-        direction: Vector3<f64>,
-    ) -> Result<Self, FactorError> {
-        Ok(Self::at_unit(unit(factor, what, direction)?))
-    }
-
     /// At `direction` of length one.
     pub(crate) fn at_unit(direction: Vector3<f64>) -> Self {
         // The axis farthest from m, so that the cross product is far from zero.

@@ -4,10 +4,11 @@ use std::collections::HashSet;
 
 use evergraph_factors::RootShift;
 
+use crate::coordinates::{Coordinates, Kind};
 use crate::error::{Field, FormatError, Place};
 use crate::matrix::{self, Definiteness};
 use crate::measurement::{LinearMeasurement, Measurement, Quantity};
-use crate::record::{Coordinates, Kind, Line, Record};
+use crate::record::{Line, Record};
 use crate::weight::{Weight, WeightKind};
 
 /// What was found in a record that can be used.

@@ -6,11 +6,13 @@ use std::sync::Arc;
 use evergraph_model::{Point2, Point3, Pose2, Pose3, Value};
 
 use crate::check::slot;
+use crate::contents::Contents;
 use crate::convert;
-use crate::document::{Contents, Document};
+use crate::coordinates::Coordinates;
+use crate::document::Document;
 use crate::error::FormatError;
 use crate::options::{Dialect, ReadOptions};
-use crate::record::{Coordinates, Line, Record};
+use crate::record::{Line, Record};
 
 impl Document {
     /// The same graph with these values as its vertices.

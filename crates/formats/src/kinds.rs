@@ -1,6 +1,6 @@
 //! What the variables of a file are.
 
-use crate::record::Kind;
+use crate::coordinates::Kind;
 
 /// All variables of a file, by id and whether they are poses. iSAM numbers poses and landmarks
 /// apart, and so does a file that gives VERTEX lines for a pose and a landmark of the same id.

@@ -95,11 +95,14 @@
 #![deny(missing_docs)]
 
 mod check;
+mod contents;
 mod convert;
+mod coordinates;
 mod document;
 mod error;
 mod estimate;
 mod export;
+mod factor_data;
 mod fields;
 mod kinds;
 mod matrix;
@@ -107,6 +110,7 @@ mod measurement;
 mod names;
 mod options;
 mod parse;
+mod ranges;
 mod read_line;
 mod reconcile;
 mod record;
@@ -117,12 +121,15 @@ mod weight;
 mod write;
 mod write_line;
 
-pub use document::{Document, Skipped, Summary};
+pub use contents::{Skipped, Summary};
+pub use coordinates::{Coordinates, Kind};
+pub use document::Document;
 pub use error::{Field, FormatError, Place};
+pub use factor_data::{Reading, ReadingError, catalogue, relative_data};
 pub use measurement::{LinearMeasurement, Measurement, Quantity};
 pub use names::{parse_id, spell_id};
 pub use options::{Dialect, G2oRotation, ReadOptions, WriteOptions};
-pub use record::{Coordinates, Kind, Line, Record};
+pub use record::{Line, Record};
 pub use replay::{GaugePrior, Initial, Replay, ReplayOptions, Step, StepKind};
 pub use trajectory::{Stamps, Trajectory, TrajectoryError, TrajectoryFormat};
 pub use weight::{Entries, EntryOrder, Weight, WeightKind};

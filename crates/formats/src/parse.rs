@@ -6,10 +6,11 @@ use std::sync::Arc;
 use evergraph_model::Kernel;
 
 use crate::check;
-use crate::document::{Contents, Skipped};
+use crate::contents::Contents;
 use crate::error::{FormatError, Place, excerpt};
 use crate::names;
 use crate::options::{Dialect, ReadOptions};
+use crate::ranges::resolve_ranges;
 use crate::read_line::{self, split_word};
 use crate::record::Line;
 use crate::tags::{IGNORED, ROBUST, TAGS, Tag};
@@ -21,9 +22,6 @@ const LONGEST_LINE: usize = 1 << 20;
 /// The longest line that is read if it is a linear factor, whose matrix grows with the square of its
 /// variables.
 const LONGEST_LINEAR: usize = 1 << 28;
-
-/// How many skipped lines are listed; all are counted.
-pub(crate) const LISTED: usize = 1000;
 
 /// Reads everything; the result has not been reconciled yet.
 pub(crate) fn read(
@@ -78,7 +76,7 @@ pub(crate) fn read(
     contents.dialect = parser.dialect.map(|(dialect, _)| dialect);
     if contents.dialect == Some(Dialect::Pyfg) {
         let mut lines = std::mem::take(&mut contents.lines);
-        names::resolve_ranges(&mut lines, |line, problem| {
+        resolve_ranges(&mut lines, |line, problem| {
             let place = Place { file: Arc::clone(name), line };
             contents.reject(check::bad(&place, problem), line, options.lenient)
         })?;
@@ -110,25 +108,6 @@ fn skip_line(reader: &mut impl BufRead) -> std::io::Result<()> {
         if end.is_some() {
             return Ok(());
         }
-    }
-}
-
-impl Contents {
-    /// Returns the error, or when reading leniently counts and lists it.
-    pub(crate) fn reject(
-        &mut self,
-        error: FormatError,
-        line: usize,
-        lenient: bool,
-    ) -> Result<(), FormatError> {
-        if !lenient || error.spoils_the_file() {
-            return Err(error);
-        }
-        self.summary.skipped += 1;
-        if self.skipped.len() < LISTED {
-            self.skipped.push(Skipped { line, error });
-        }
-        Ok(())
     }
 }
 

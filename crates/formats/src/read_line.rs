@@ -4,11 +4,12 @@ use evergraph_factors::RootShift;
 use evergraph_model::Kernel;
 use smallvec::SmallVec;
 
+use crate::coordinates::{Coordinates, Kind};
 use crate::error::{FormatError, Place, excerpt};
 use crate::fields::Fields;
 use crate::measurement::{LinearMeasurement, Measurement, Quantity};
 use crate::names;
-use crate::record::{Coordinates, Kind, Line, Record};
+use crate::record::{Line, Record};
 use crate::tags::{Form, KERNELS, ROBUST, Shape, Tag};
 use crate::weight::{Recent, WeightKind};
 
@@ -117,7 +118,7 @@ impl Fields<'_> {
             ends.push((self.id()?, kind));
         }
         let parameter = self.offset()?;
-        let (mut numbers, mut rows) = quantity.shape(kinds).unwrap_or((0, 0));
+        let (mut numbers, mut rows) = Measurement::shape(quantity, kinds).unwrap_or((0, 0));
         if quantity == Quantity::Partial {
             let dim = kinds[0].dim();
             rows = self.count(dim)?;

@@ -3,9 +3,10 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
+use crate::coordinates::Kind;
 use crate::error::{FormatError, Place};
 use crate::kinds::{Kinds, Use};
-use crate::record::{Kind, Line, Record};
+use crate::record::{Line, Record};
 
 /// Checks the records of a file together, and finds out what its variables are. Calls `reject` for
 /// each record that does not fit and removes it; `reject` may stop everything by returning the

@@ -2,9 +2,10 @@
 
 use evergraph_model::{Kernel, KernelError};
 
+use crate::coordinates::{Coordinates, Kind};
 use crate::measurement::Quantity;
 use crate::options::Dialect;
-use crate::record::{Coordinates, Kind, Record};
+use crate::record::Record;
 use crate::weight::EntryOrder;
 
 /// How coordinates are written.
@@ -270,5 +271,27 @@ impl Tag {
             (Record::Measurement(m), Shape::NamedRange) => m.quantity == Quantity::Range,
             _ => false,
         })
+    }
+}
+
+impl Record {
+    /// The tag that messages use, g2o's.
+    pub(crate) fn name(&self) -> &'static str {
+        match self {
+            Self::Vertex { at, .. } => match at.kind() {
+                Kind::Pose2 => "VERTEX_SE2",
+                Kind::Pose3 => "VERTEX_SE3:QUAT",
+                Kind::Point2 => "VERTEX_XY",
+                Kind::Point3 => "VERTEX_TRACKXYZ",
+            },
+            Self::Edge { measurement, .. } => match measurement.kind() {
+                Kind::Pose2 => "EDGE_SE2",
+                Kind::Pose3 => "EDGE_SE3:QUAT",
+                Kind::Point2 => "EDGE_SE2_XY",
+                Kind::Point3 => "EDGE_SE3_TRACKXYZ",
+            },
+            Self::SensorOffset { .. } => "PARAMS_SE3OFFSET",
+            other => Tag::of(other, Dialect::G2o).map_or("FACTOR", |tag| tag.name),
+        }
     }
 }

@@ -2,11 +2,12 @@
 
 use std::fmt::Write;
 
+use crate::coordinates::Kind;
 use crate::measurement::{LinearMeasurement, Measurement, Quantity};
 use crate::names;
 use crate::options::Dialect;
 use crate::read_line::{POINTS, SHIFTS};
-use crate::record::{Kind, Line, Record};
+use crate::record::{Line, Record};
 use crate::tags::{ROBUST, Tag, kernel_name};
 
 /// Appends the line of a record that is in the form of the tag's dialect, with its time and kernel.

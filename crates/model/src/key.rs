@@ -116,6 +116,12 @@ impl<V> Key<V> {
     pub fn id(self) -> VariableId {
         self.id
     }
+
+    /// A key of an id that was read from data. The type is checked when the key is used: by the
+    /// graph when a factor on the variable comes in, and by each query.
+    pub fn assume(id: VariableId) -> Self {
+        Self::new(id)
+    }
 }
 
 // Derives would ask for `V: Clone` and so on; a key is plain data whatever `V` is.

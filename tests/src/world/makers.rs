@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use evergraph::factors::autodiff::{Number, Parameters, Residual, Transform2, Vector2};
+use evergraph::factors::catalogue::{Catalogue, DataError, StoredResidual};
 use evergraph::factors::*;
 use evergraph::model::{
     Factor, Kernel, LieGroup, Noise, Point2, Point3, Pose2, Pose3, Robust, Rot3,
@@ -125,6 +126,30 @@ impl Residual<1> for ClockRange {
         let squared = seen.x * seen.x + seen.y * seen.y + 0.01;
         [squared.sqrt() + clock[1] + clock[3] * self.at - self.range]
     }
+}
+
+impl StoredResidual<1> for ClockRange {
+    fn numbers(&self) -> Vec<f64> {
+        vec![self.at, self.range]
+    }
+
+    fn from_numbers(numbers: &[f64]) -> Result<Self, DataError> {
+        match *numbers {
+            [at, range] => Ok(Self { at, range }),
+            _ => Err(DataError::Numbers { expected: 2, actual: numbers.len() }),
+        }
+    }
+}
+
+/// A catalogue with the types of all [`MAKERS`].
+///
+/// # Panics
+/// When a name is taken.
+pub fn catalogue() -> Catalogue {
+    let mut catalogue = Catalogue::standard();
+    let registered = catalogue.register_factor::<AutoDiff<ClockRange, 1>>();
+    registered.unwrap_or_else(|error| panic!("{error}"));
+    catalogue
 }
 
 macro_rules! maker {

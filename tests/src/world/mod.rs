@@ -7,7 +7,7 @@ mod removals;
 mod seen;
 mod variables;
 
-pub use makers::{MAKERS, Maker};
+pub use makers::{MAKERS, Maker, catalogue};
 pub use operations::{Operation, World};
 pub use removals::Removals;
 

@@ -3,7 +3,7 @@
 use evergraph_model::{Pose2, Pose3, Rot2, Rot3, geometry};
 use nalgebra::{Matrix2, Matrix3, SVector, Vector2, Vector3, Vector6};
 
-use super::Number;
+use super::number::Number;
 
 /// A rotation in the plane: [`Rot2`] as a residual sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]

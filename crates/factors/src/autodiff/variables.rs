@@ -7,7 +7,8 @@ use evergraph_model::{
 use nalgebra::{SVector, Vector2, Vector3};
 use smallvec::{SmallVec, smallvec};
 
-use super::{Number, Rotation2, Rotation3, Transform2, Transform3};
+use super::geometry::{Rotation2, Rotation3, Transform2, Transform3};
+use super::number::Number;
 
 /// A variable that automatic differentiation can move.
 ///
@@ -42,6 +43,9 @@ pub trait Variables: 'static {
     /// Their keys, in the same order.
     type Keys;
 
+    /// How many there are.
+    const COUNT: usize;
+
     /// What a residual gets.
     type Lifted<T: Number>;
 
@@ -59,6 +63,7 @@ macro_rules! variables {
     ($($position:literal $variable:ident),+) => {
         impl<$($variable: Variable),+> Variables for ($($variable,)+) {
             type Keys = ($(Key<$variable::Manifold>,)+);
+            const COUNT: usize = [$($position),+].len();
             type Lifted<T: Number> = ($($variable::Lifted<T>,)+);
 
             fn ids(keys: Self::Keys) -> SmallVec<[VariableId; 4]> {

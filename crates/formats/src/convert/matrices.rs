@@ -5,11 +5,12 @@ use nalgebra::{DMatrix, Matrix3};
 
 use super::{Converter, half_angles, pose3, quaternion, scale_rotation};
 use crate::check;
+use crate::coordinates::Coordinates;
 use crate::error::{FormatError, Place};
 use crate::matrix;
 use crate::measurement::{Measurement, Quantity};
 use crate::options::Dialect;
-use crate::record::{Coordinates, Record};
+use crate::record::Record;
 use crate::weight::{EntryOrder, Weight, WeightKind};
 
 impl Converter<'_> {

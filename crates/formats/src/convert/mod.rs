@@ -8,12 +8,13 @@ use evergraph_model::{Point3, Pose3, Rot3};
 use nalgebra::DMatrix;
 
 use crate::check;
+use crate::coordinates::{Coordinates, Kind};
 use crate::document::Document;
 use crate::error::{FormatError, Place};
 use crate::measurement::{Measurement, Quantity};
 use crate::names;
 use crate::options::{Dialect, G2oRotation};
-use crate::record::{Coordinates, Kind, Line, Record};
+use crate::record::{Line, Record};
 
 /// The pose that 3D coordinates name; `None` for other coordinates.
 pub(crate) fn pose3(at: &Coordinates) -> Option<Pose3> {
@@ -54,6 +55,21 @@ pub(crate) fn half_angles(document: &Document, dialect: Dialect) -> bool {
     dialect == Dialect::G2o && document.g2o_rotation == G2oRotation::Quaternion
 }
 
+/// That every variable of a document has a name of its own.
+fn check_names(document: &Document) -> Result<(), FormatError> {
+    let mut owners: HashMap<String, u64> = HashMap::new();
+    for (id, kind) in document.ids() {
+        let file = || document.name().into();
+        let Some(name) = names::of(id, kind) else {
+            return Err(FormatError::NoName { file: file(), id });
+        };
+        if let Some(other) = owners.insert(name.clone(), id) {
+            return Err(FormatError::NameTaken { file: file(), id, name, other });
+        }
+    }
+    Ok(())
+}
+
 /// A document's records in the form that a dialect writes.
 pub(crate) struct Converter<'a> {
     document: &'a Document,
@@ -86,7 +102,7 @@ impl<'a> Converter<'a> {
         };
         let mut ranks = HashMap::new();
         if target == Dialect::Pyfg {
-            names::check(document)?;
+            check_names(document)?;
             let poses = document.ids().into_iter().filter(|(_, kind)| kind.is_pose());
             ranks.extend(poses.map(|(id, _)| id).zip(0..));
         }

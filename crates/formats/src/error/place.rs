@@ -3,8 +3,6 @@
 use std::fmt;
 use std::sync::Arc;
 
-use super::FormatError;
-
 /// A line of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Place {
@@ -36,51 +34,6 @@ pub struct Field {
 impl fmt::Display for Field {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "field {} ({}) of {} is `{}`", self.number, self.name, self.tag, self.text)
-    }
-}
-
-impl FormatError {
-    /// Whether nothing of the file can be trusted, so that skipping the line would not do.
-    pub(crate) fn spoils_the_file(&self) -> bool {
-        matches!(self, Self::EdgesBeforeVertices { .. })
-    }
-
-    /// The line that is to blame, where it is one.
-    pub fn place(&self) -> Option<&Place> {
-        match self {
-            Self::NotText { place, .. }
-            | Self::LineTooLong { place, .. }
-            | Self::UnknownTag { place, .. }
-            | Self::MixedDialects { place, .. }
-            | Self::FieldCount { place, .. }
-            | Self::NotANumber { place, .. }
-            | Self::NotFinite { place, .. }
-            | Self::NotAnId { place, .. }
-            | Self::NotAName { place, .. }
-            | Self::NotACount { place, .. }
-            | Self::NoSuchWord { place, .. }
-            | Self::OutOfRange { place, .. }
-            | Self::BadKernel { place, .. }
-            | Self::SecondOrigin { place, .. }
-            | Self::EdgesBeforeVertices { place, .. }
-            | Self::Duplicate { place, .. }
-            | Self::SelfEdge { place, .. }
-            | Self::MissingVertex { place, .. }
-            | Self::MissingOffset { place, .. }
-            | Self::WrongKind { place, .. }
-            | Self::NotPositive { place, .. }
-            | Self::ZeroQuaternion { place, .. }
-            | Self::Unsupported { place, .. }
-            | Self::BadMeasurement { place, .. }
-            | Self::NoEstimate { place, .. }
-            | Self::StartNotFinite { place, .. } => Some(place),
-            _ => None,
-        }
-    }
-
-    /// The number of the line that is to blame; 0 when it is no single line.
-    pub fn line(&self) -> usize {
-        self.place().map_or(0, |place| place.line)
     }
 }
 

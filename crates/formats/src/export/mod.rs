@@ -1,19 +1,21 @@
 //! From a graph in memory to the document of a file.
 
+mod exporter;
 mod factors;
 mod settle;
 
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use evergraph_model::{Graph, Pose3, Value, Values, VariableId};
+use evergraph_model::{Graph, Value, Values, VariableId};
 
+use self::exporter::Exporter;
 use crate::convert::quaternion;
 use crate::document::Document;
 use crate::error::FormatError;
 use crate::estimate::coordinates;
 use crate::options::Dialect;
-use crate::record::{Coordinates, Kind, Line, Record};
+use crate::record::{Line, Record};
 
 impl Document {
     /// A graph as a document, with these values as its vertices; the variables are numbered from 0
@@ -105,34 +107,4 @@ impl Document {
             (0..).zip(sensors).map(|(id, at)| Line::from(Record::SensorOffset { id, at }));
         Self::from_records(name, Dialect::G2o, offsets.chain(vertices).chain(lines))
     }
-}
-
-/// What the records of factors name.
-#[derive(Default)]
-struct Exporter {
-    /// Id and kind of each variable.
-    ends: HashMap<VariableId, (u64, Kind)>,
-    /// Where sensors sit on the robot; their places here are their ids.
-    sensors: Vec<Pose3>,
-}
-
-impl Exporter {
-    fn id(&self, variable: VariableId) -> Option<u64> {
-        self.ends.get(&variable).map(|(id, _)| *id)
-    }
-
-    /// The id of a sensor offset.
-    fn sensor(&mut self, robot_from_sensor: &Pose3) -> u64 {
-        let known = self.sensors.iter().position(|sensor| sensor == robot_from_sensor);
-        let at = known.unwrap_or_else(|| {
-            self.sensors.push(*robot_from_sensor);
-            self.sensors.len() - 1
-        });
-        at as u64
-    }
-}
-
-/// The numbers of a value that is known to be one that files hold.
-fn settled(value: &Value) -> Option<Coordinates> {
-    coordinates(value, Dialect::G2o).map(settle::coordinates)
 }

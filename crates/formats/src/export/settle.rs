@@ -10,8 +10,8 @@ use evergraph_model::Noise;
 use nalgebra::Vector3;
 use smallvec::SmallVec;
 
+use crate::coordinates::Coordinates;
 use crate::matrix;
-use crate::record::Coordinates;
 use crate::weight::{EntryOrder, Weight, WeightKind};
 
 /// To 14 decimals: the error of one passage is below 1e-15.

@@ -11,9 +11,10 @@ use super::observation::{Observation, Observed};
 use super::order::Link;
 use crate::check::{bad, slot};
 use crate::convert;
+use crate::coordinates::Kind;
 use crate::document::Document;
 use crate::error::FormatError;
-use crate::record::{Kind, Line, Record};
+use crate::record::{Line, Record};
 
 impl Replay {
     /// Takes vertices, fixed poses, and every factor.

@@ -6,7 +6,7 @@ use evergraph_model::{
 use nalgebra::{DMatrix, Vector3};
 
 use crate::convert;
-use crate::record::{Coordinates, Kind};
+use crate::coordinates::{Coordinates, Kind};
 
 /// A typed key of any of the file's kinds.
 #[derive(Clone, Copy, Debug)]
@@ -18,6 +18,15 @@ pub(super) enum Handle {
 }
 
 impl Handle {
+    pub fn kind(self) -> Kind {
+        match self {
+            Self::Pose2(_) => Kind::Pose2,
+            Self::Pose3(_) => Kind::Pose3,
+            Self::Point2(_) => Kind::Point2,
+            Self::Point3(_) => Kind::Point3,
+        }
+    }
+
     pub fn id(self) -> VariableId {
         match self {
             Self::Pose2(key) => key.id(),

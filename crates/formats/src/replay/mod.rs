@@ -7,6 +7,7 @@ mod gather;
 mod gauge;
 mod geometry;
 mod held;
+mod numbers;
 mod observation;
 mod order;
 mod place_landmark;

@@ -9,11 +9,12 @@ use super::geometry::Geometry;
 use super::order::Ties;
 use crate::check::bad;
 use crate::convert;
+use crate::coordinates::{Coordinates, Kind};
 use crate::document::Document;
 use crate::error::{FormatError, Place};
 use crate::matrix;
 use crate::measurement::{LinearMeasurement, Measurement, Quantity};
-use crate::record::{Coordinates, Kind, Line};
+use crate::record::Line;
 use crate::weight::{Weight, WeightKind};
 
 /// A line that is a factor.
@@ -82,8 +83,7 @@ impl Observed {
         let place = document.place(line.number);
         let Measurement { quantity, ends, numbers, weight, .. } = measurement;
         let kinds: SmallVec<[Kind; 2]> = ends.iter().map(|(_, kind)| *kind).collect();
-        let (mut count, mut rows) = quantity
-            .shape(&kinds)
+        let (mut count, mut rows) = Measurement::shape(*quantity, &kinds)
             .ok_or_else(|| bad(&place, format!("no {quantity:?} is measured on its variables")))?;
         if *quantity == Quantity::Partial {
             let dim = kinds[0].dim();

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use smallvec::SmallVec;
 
-use crate::record::Kind;
+use crate::coordinates::Kind;
 
 /// A variable of the file.
 #[derive(Clone, Copy, Debug)]

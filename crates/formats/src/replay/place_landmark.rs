@@ -7,12 +7,12 @@ use nalgebra::Vector3;
 use smallvec::SmallVec;
 
 use super::evaluate::{Linearized, Quadratic, minimize};
-use super::factor::Numbers;
 use super::geometry::Geometry;
+use super::numbers::Numbers;
 use super::observation::{Observation, Observed};
 use super::rigid::sample;
+use crate::coordinates::Kind;
 use crate::measurement::Quantity;
-use crate::record::Kind;
 
 /// Largest standard deviation of a landmark, as a share of the distance to whoever sees it from
 /// nearest: beyond, bearings and ranges are too far from linear over the region that it may be in.
@@ -61,16 +61,16 @@ impl Hint {
             let Observed::Linear(linear) = &observed.what else { return None };
             return Some(Self::At(linear.points.get(landmark)?.position()));
         };
-        let numbers = Numbers { numbers, sensor: None };
+        let numbers = Numbers(numbers);
         let point = |planar: bool| {
             if planar {
-                numbers.point2(0).ok().map(|p| Vector3::new(p.x(), p.y(), 0.0))
+                numbers.point2(0).map(|p| Vector3::new(p.x(), p.y(), 0.0))
             } else {
-                numbers.vector3(0).ok()
+                numbers.vector3(0)
             }
         };
         if *quantity == Quantity::Prior {
-            return point(numbers.numbers.len() == 2).map(Self::At);
+            return point(numbers.0.len() == 2).map(Self::At);
         }
         let other = ends.iter().enumerate().find(|(at, _)| *at != landmark)?.1.as_ref()?;
         let from = other.position();
@@ -79,22 +79,22 @@ impl Hint {
                 let z = point(matches!(other, Geometry::Point2(_)))?;
                 Some(Self::At(if landmark == 1 { from + z } else { from - z }))
             }
-            Quantity::Range => Some(Self::Around(from, numbers.number(0).ok()?)),
+            Quantity::Range => Some(Self::Around(from, numbers.number(0)?)),
             Quantity::Bearing | Quantity::BearingRange => {
                 let (direction, range) = match other {
                     Geometry::Pose2(x) => {
-                        let ahead = Pose2::new(0.0, 0.0, x.theta() + numbers.number(0).ok()?);
+                        let ahead = Pose2::new(0.0, 0.0, x.theta() + numbers.number(0)?);
                         let rotation = ahead.rotation();
                         (Vector3::new(rotation.cos(), rotation.sin(), 0.0), 1)
                     }
                     Geometry::Pose3(x) => {
-                        (x.rotation().rotate(&numbers.vector3(0).ok()?.try_normalize(0.0)?), 3)
+                        (x.rotation().rotate(&numbers.vector3(0)?.try_normalize(0.0)?), 3)
                     }
                     Geometry::Point2(_) | Geometry::Point3(_) => return None,
                 };
                 Some(match numbers.number(range) {
-                    Ok(range) => Self::At(from + range * direction),
-                    Err(_) => Self::Along(from, direction),
+                    Some(range) => Self::At(from + range * direction),
+                    None => Self::Along(from, direction),
                 })
             }
             _ => None,

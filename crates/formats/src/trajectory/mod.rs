@@ -11,6 +11,7 @@
 //! vision benchmark suite" (2012).
 
 mod error;
+mod lines;
 mod read;
 mod stamps;
 mod write;
@@ -25,8 +26,9 @@ pub use error::TrajectoryError;
 pub use stamps::Stamps;
 
 use crate::convert;
+use crate::coordinates::Coordinates;
 use crate::document::Document;
-use crate::record::{Coordinates, Record};
+use crate::record::Record;
 
 /// A format of trajectory files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -5,8 +5,8 @@ use std::io::BufRead;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::TrajectoryError;
-use super::read::{for_each_line, number, open};
+use super::error::TrajectoryError;
+use super::lines::{for_each_line, number, open};
 use crate::document::Document;
 use crate::error::{Field, FormatError, excerpt};
 use crate::record::Record;

@@ -1,4 +1,6 @@
-//! The manifests and crate roots hold the lines that ARCHITECTURE.md draws.
+//! The manifests, crate roots and imports hold the lines that ARCHITECTURE.md draws.
+
+mod circles;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,20 +9,50 @@ use evergraph_tests::repository;
 use toml::{Table, Value};
 
 /// Which of our crates a crate may use. A new crate is a new line here.
-const MAY_USE: [(&str, &[&str]); 9] = [
+const MAY_USE: [(&str, &[&str]); 12] = [
     ("model", &[]),
     ("factors", &["model"]),
     ("solver", &["model"]),
+    ("removal", &["model", "factors"]),
+    ("longterm", &["model", "factors", "solver", "removal"]),
+    ("initialize", &["model", "factors", "solver"]),
     ("formats", &["model", "factors"]),
+    ("replay", &["model", "factors", "solver", "longterm", "initialize", "formats"]),
     ("simulate", &["model", "factors", "formats"]),
-    ("removal", &["model", "factors", "solver"]),
-    ("evaluate", &["model", "factors", "solver", "removal", "formats", "simulate"]),
-    ("evergraph", &["model", "factors", "solver", "removal", "formats", "simulate", "evaluate"]),
+    (
+        "evaluate",
+        &[
+            "model",
+            "factors",
+            "solver",
+            "removal",
+            "longterm",
+            "initialize",
+            "formats",
+            "replay",
+            "simulate",
+        ],
+    ),
+    (
+        "evergraph",
+        &[
+            "model",
+            "factors",
+            "solver",
+            "removal",
+            "longterm",
+            "initialize",
+            "formats",
+            "replay",
+            "simulate",
+            "evaluate",
+        ],
+    ),
     ("cli", &["evergraph"]),
 ];
 
-/// What a crate may use in its own tests beyond that.
-const MAY_TEST_WITH: [(&str, &[&str]); 1] = [("solver", &["factors"])];
+/// Further crates that a crate may use in its tests.
+const MAY_TEST_WITH: [(&str, &[&str]); 2] = [("solver", &["factors"]), ("removal", &["solver"])];
 
 /// Crates that are programs: no `lib.rs` of their own.
 const PROGRAMS: [&str; 1] = ["cli"];
@@ -136,12 +168,27 @@ fn a_wrong_direction_is_found_wherever_it_hides() {
     assert_eq!(wrong("solver", "[dependencies]\nevergraph-factors.workspace = true"), 1);
     assert_eq!(wrong("solver", "[dev-dependencies]\nevergraph-factors.workspace = true"), 0);
     assert_eq!(wrong("solver", "[dev-dependencies]\nevergraph-formats.workspace = true"), 1);
+    assert_eq!(wrong("removal", "[dependencies]\nevergraph-solver.workspace = true"), 1);
+    assert_eq!(wrong("removal", "[dev-dependencies]\nevergraph-solver.workspace = true"), 0);
     assert_eq!(wrong("formats", "[build-dependencies]\nevergraph-solver.workspace = true"), 1);
     assert_eq!(wrong("model", "[target.'cfg(unix)'.dependencies]\nevergraph-solver = '0.1'"), 1);
     assert_eq!(wrong("model", "[dependencies]\nfast = { package = 'evergraph-solver' }"), 1);
     assert_eq!(wrong("cli", "[dependencies]\nevergraph-solver.workspace = true"), 1);
     assert_eq!(wrong("cli", "[dependencies]\nevergraph.workspace = true\nclap = '4'"), 0);
     assert_eq!(wrong("newcomer", ""), 1);
+}
+
+/// The rules of what counts stand in [`circles`].
+#[test]
+fn files_and_folders_of_a_crate_import_each_other_without_circles() {
+    let found: Vec<String> = crates()
+        .iter()
+        .flat_map(|it| {
+            let circles = circles::circles_in(&it.folder.join("src"));
+            circles.into_iter().map(|circle| format!("crates/{}/{circle}", it.role))
+        })
+        .collect();
+    assert!(found.is_empty(), "{} circles:\n{}", found.len(), found.join("\n"));
 }
 
 #[test]
