@@ -21,6 +21,7 @@ use crate::topology::Tree;
 /// Why a step did not take the form that was asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Fallback {
     /// Relative factors on the tree would have left a direction free that the removed factors
     /// hold; generic linear constraints on the same tree do not.
@@ -35,6 +36,7 @@ pub enum Fallback {
 
 /// A factor that a step adds.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct NewFactor {
     /// [`Factor::name`].
     pub name: String,
