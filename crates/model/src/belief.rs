@@ -6,9 +6,10 @@
 use nalgebra::DMatrix;
 use thiserror::Error;
 
-use crate::graph::GraphError;
+use crate::error::GraphError;
 use crate::key::VariableId;
-use crate::value::{Value, Values};
+use crate::value::Value;
+use crate::values::Values;
 
 /// A source of estimates.
 ///

@@ -91,6 +91,7 @@ pub struct VariableType {
     motion: Option<Motion>,
     retract: fn(&[f64], &[f64], &mut [f64]),
     local: fn(&[f64], &[f64], &mut [f64]),
+    reload: fn(&[f64]) -> (usize, usize),
 }
 
 impl VariableType {
@@ -105,6 +106,10 @@ impl VariableType {
                 motion: V::MOTION,
                 retract: |x, delta, out| V::load(x).retract(delta).store(out),
                 local: |x, y, out| V::load(x).local(&V::load(y), out),
+                reload: |x| {
+                    let value = V::load(x);
+                    (value.dim(), value.storage_len())
+                },
             };
         }
         &Erased::<V>::TYPE
@@ -133,6 +138,14 @@ impl VariableType {
     /// [`Manifold::retract`] on stored values.
     pub fn retract(&self, x: &[f64], delta: &[f64], out: &mut [f64]) {
         (self.retract)(x, delta, out);
+    }
+
+    /// Dimension and number of stored numbers of the value that these numbers load as.
+    ///
+    /// # Panics
+    /// When the type cannot read them.
+    pub(crate) fn reload(&self, x: &[f64]) -> (usize, usize) {
+        (self.reload)(x)
     }
 
     /// [`Manifold::local`] on stored values.

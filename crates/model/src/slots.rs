@@ -1,131 +1,85 @@
-//! Generational slots whose next ids can be planned by reading only.
+//! Dense slots for objects with ids: arrays that follow the number of living objects.
 
 use std::hash::{Hash, Hasher};
 
-use smallvec::SmallVec;
+use rustc_hash::FxHashMap;
 
-/// Places for objects. A freed place is used again under the next generation, so memory follows
-/// the number of living objects and an id is never given twice.
+/// Objects in slots. A freed slot is used again, the latest first.
+///
+/// `I` is the id of an object. Ids are looked up at the door, by [`index_of`](Self::index_of);
+/// everything behind it works with slots.
 #[derive(Clone, Debug)]
-pub(crate) struct Slots<T> {
-    entries: Vec<Entry<T>>,
+pub(crate) struct Slots<I, T> {
+    entries: Vec<Option<(I, T)>>,
     free: Vec<u32>,
+    /// Looked up only, never walked through: its order depends on ids, which are no part of results.
+    places: FxHashMap<I, u32>,
 }
 
-#[derive(Clone, Debug)]
-struct Entry<T> {
-    generation: u32,
-    object: Option<T>,
-}
-
-/// How many freed slots one change can take up again; what it needs beyond that it gets from the
-/// end. A share of what is free, so that the array settles at a few times the need whatever the
-/// size of the changes, and bounded, so that planning stays cheap.
-fn reusable(free: usize) -> usize {
-    (free / 4).clamp(FEW, 4096)
-}
-
-const FEW: usize = 16;
-
-/// The ids that the next insertions will get, so that a change can name what it is about to add.
-#[derive(Clone, Debug)]
-pub(crate) struct SlotPlan {
-    reused: SmallVec<[(u32, u32); FEW]>,
-    fresh: u32,
-    taken: u32,
-}
-
-impl SlotPlan {
-    /// The next planned (index, generation); `None` when 2³² slots are in use.
-    pub(crate) fn take(&mut self) -> Option<(u32, u32)> {
-        let k = self.taken as usize;
-        let id = match self.reused.get(k) {
-            Some(&slot) => slot,
-            None => (self.fresh.checked_add((k - self.reused.len()) as u32)?, 0),
-        };
-        self.taken += 1;
-        Some(id)
-    }
-}
-
-impl<T> Default for Slots<T> {
+impl<I, T> Default for Slots<I, T> {
     fn default() -> Self {
-        Self { entries: Vec::new(), free: Vec::new() }
+        Self { entries: Vec::new(), free: Vec::new(), places: FxHashMap::default() }
     }
 }
 
-impl<T> Slots<T> {
-    pub(crate) fn plan(&self) -> SlotPlan {
-        let reused = self.free.iter().rev().take(reusable(self.free.len()));
-        SlotPlan {
-            reused: reused.map(|&i| (i, self.entries[i as usize].generation)).collect(),
-            fresh: self.entries.len() as u32,
-            taken: 0,
-        }
-    }
-
-    /// Whether every id that `plan` has handed out is still the one the next insertions will get.
-    pub(crate) fn is_current(&self, plan: &SlotPlan) -> bool {
-        let taken = plan.taken as usize;
-        let reused = plan.reused.len().min(taken);
-        let reused_ok = self.free.len() >= reused
-            && plan.reused[..reused].iter().zip(self.free.iter().rev()).all(
-                |(&(index, generation), &next)| {
-                    index == next && self.entries[next as usize].generation == generation
-                },
-            );
-        let fresh_ok = taken <= plan.reused.len() || plan.fresh as usize == self.entries.len();
-        reused_ok && fresh_ok
-    }
-
-    /// Puts an object into the slot that a current plan named for it.
-    pub(crate) fn insert_planned(&mut self, index: u32, object: T) {
-        if index as usize == self.entries.len() {
-            self.entries.push(Entry { generation: 0, object: Some(object) });
+impl<I: Copy + Eq + Hash, T> Slots<I, T> {
+    /// Puts an object into a free slot, or a new one; which it is, and whether it is new. `None`
+    /// when all 2³² - 1 slots are in use.
+    pub(crate) fn insert(&mut self, id: I, object: T) -> Option<(u32, bool)> {
+        let (index, fresh) = match self.free.pop() {
+            Some(index) => (index, false),
+            None => (u32::try_from(self.entries.len()).ok().filter(|&i| i < u32::MAX)?, true),
+        };
+        if fresh {
+            self.entries.push(Some((id, object)));
         } else {
-            let next = self.free.pop();
-            debug_assert_eq!(next, Some(index), "the plan was checked by is_current");
-            self.entries[index as usize].object = Some(object);
+            self.entries[index as usize] = Some((id, object));
         }
+        self.places.insert(id, index);
+        Some((index, fresh))
     }
 
-    /// Takes back the newest insertion; `was_fresh` says whether it had made the slot.
-    pub(crate) fn undo_insert(&mut self, index: u32, was_fresh: bool) -> Option<T> {
-        if was_fresh {
+    /// Takes back the newest insertion; `fresh` says whether it had made the slot.
+    pub(crate) fn undo_insert(&mut self, index: u32, fresh: bool) -> Option<T> {
+        let (id, object) = if fresh {
             debug_assert_eq!(index as usize + 1, self.entries.len());
-            self.entries.pop().and_then(|entry| entry.object)
+            self.entries.pop().flatten()?
         } else {
             self.free.push(index);
-            self.entries[index as usize].object.take()
-        }
-    }
-
-    pub(crate) fn remove(&mut self, index: u32) -> Option<T> {
-        let entry = &mut self.entries[index as usize];
-        let object = entry.object.take()?;
-        // A slot that has used up its generations is retired rather than reused.
-        if let Some(next) = entry.generation.checked_add(1) {
-            entry.generation = next;
-            self.free.push(index);
-        }
+            self.entries[index as usize].take()?
+        };
+        self.places.remove(&id);
         Some(object)
     }
 
-    pub(crate) fn get(&self, index: u32, generation: u32) -> Option<&T> {
-        let entry = self.entries.get(index as usize)?;
-        if entry.generation == generation { entry.object.as_ref() } else { None }
+    pub(crate) fn remove(&mut self, index: usize) -> Option<T> {
+        let (id, object) = self.entries[index].take()?;
+        self.free.push(index as u32);
+        self.places.remove(&id);
+        Some(object)
+    }
+
+    /// The slot of a living object.
+    pub(crate) fn index_of(&self, id: I) -> Option<usize> {
+        self.places.get(&id).map(|&index| index as usize)
     }
 
     pub(crate) fn at(&self, index: usize) -> Option<&T> {
-        self.entries.get(index)?.object.as_ref()
+        self.entries.get(index)?.as_ref().map(|(_, object)| object)
     }
 
     pub(crate) fn at_mut(&mut self, index: usize) -> Option<&mut T> {
-        self.entries.get_mut(index)?.object.as_mut()
+        self.entries.get_mut(index)?.as_mut().map(|(_, object)| object)
     }
 
-    pub(crate) fn generation(&self, index: usize) -> u32 {
-        self.entries[index].generation
+    /// The id of the living object in a slot.
+    pub(crate) fn id_at(&self, index: usize) -> Option<I> {
+        self.entries.get(index)?.as_ref().map(|(id, _)| *id)
+    }
+
+    /// How many objects there are.
+    pub(crate) fn len(&self) -> usize {
+        self.entries.len() - self.free.len()
     }
 
     /// Length of the slot array, living or not.
@@ -133,17 +87,39 @@ impl<T> Slots<T> {
         self.entries.len()
     }
 
-    /// Feeds generations and free slots, which decide the ids to come, to a hash.
+    /// Free slots, the next to be used last.
+    pub(crate) fn free(&self) -> &[u32] {
+        &self.free
+    }
+
+    /// Slots with their objects; `None` when an id stands twice, or `free` is not the list of the
+    /// free slots.
+    pub(crate) fn from_parts(entries: Vec<Option<(I, T)>>, free: Vec<u32>) -> Option<Self> {
+        let mut places = FxHashMap::default();
+        for (index, entry) in entries.iter().enumerate() {
+            if let Some((id, _)) = entry
+                && places.insert(*id, u32::try_from(index).ok()?).is_some()
+            {
+                return None;
+            }
+        }
+        let mut sorted = free.clone();
+        sorted.sort_unstable();
+        let vacant = entries.iter().enumerate().filter(|(_, entry)| entry.is_none());
+        let matches = vacant.map(|(index, _)| index).eq(sorted.iter().map(|&f| f as usize));
+        matches.then_some(Self { entries, free, places })
+    }
+
+    /// Feeds the occupation of the slots, which decides the slots to come, to a hash. Ids are left
+    /// out: no result depends on their numbers.
     pub(crate) fn hash_state(&self, hash: &mut impl Hasher) {
         self.free.hash(hash);
-        for entry in &self.entries {
-            (entry.generation, entry.object.is_some()).hash(hash);
-        }
+        self.entries.iter().for_each(|entry| entry.is_some().hash(hash));
     }
 
     /// Indices of living objects, ascending.
     pub(crate) fn indices(&self) -> impl Iterator<Item = usize> {
-        self.entries.iter().enumerate().filter(|(_, e)| e.object.is_some()).map(|(i, _)| i)
+        self.entries.iter().enumerate().filter(|(_, e)| e.is_some()).map(|(i, _)| i)
     }
 }
 
@@ -152,51 +128,49 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_id_is_never_given_twice() {
+    fn memory_follows_the_living() {
         let mut slots = Slots::default();
-        let mut seen = std::collections::HashSet::new();
-        for cycle in 0..100_000_u32 {
-            let mut plan = slots.plan();
-            let (index, generation) = plan.take().unwrap();
-            assert!(slots.is_current(&plan));
-            assert!(seen.insert((index, generation)), "cycle {cycle}");
-            slots.insert_planned(index, cycle);
-            assert_eq!(slots.get(index, generation), Some(&cycle));
-            slots.remove(index);
-            assert_eq!(slots.get(index, generation), None);
+        for id in 0..100_000_u32 {
+            let (index, _) = slots.insert(id, id).unwrap();
+            assert_eq!(slots.at(index as usize), Some(&id));
+            assert_eq!((slots.index_of(id), slots.id_at(index as usize)), (Some(0), Some(id)));
+            slots.remove(index as usize);
+            assert_eq!(slots.index_of(id), None);
         }
-        assert_eq!(slots.capacity(), 1, "memory follows the living, not the time");
+        assert_eq!((slots.capacity(), slots.len()), (1, 0));
     }
 
     #[test]
-    fn a_plan_goes_stale_when_its_slots_are_taken() {
+    fn undo_restores_the_slots_to_come() {
         let mut slots = Slots::default();
-        let (mut first, mut second) = (slots.plan(), slots.plan());
-        let (index, _) = first.take().unwrap();
-        second.take().unwrap();
-        slots.insert_planned(index, ());
-        assert!(!slots.is_current(&second));
-    }
-
-    #[test]
-    fn undo_restores_plans() {
-        let mut slots = Slots::default();
-        for i in 0..40 {
-            slots.insert_planned(i, i);
+        for i in 0..10_u32 {
+            slots.insert(i, i).unwrap();
         }
-        for i in [3, 17, 5] {
+        for i in [3, 7, 5] {
             slots.remove(i);
         }
-        let mut before = slots.plan();
-        let ids: Vec<_> = (0..5).map(|_| before.take().unwrap()).collect();
-        assert_eq!(ids, [(5, 1), (17, 1), (3, 1), (40, 0), (41, 0)]);
-        for &(index, _) in &ids {
-            slots.insert_planned(index, 0);
+        let before = (slots.free().to_vec(), slots.capacity());
+        let inserted: Vec<_> = (20..25_u32).map(|id| slots.insert(id, id).unwrap()).collect();
+        assert_eq!(inserted[0], (5, false));
+        assert_eq!(inserted[4], (11, true));
+        for (index, fresh) in inserted.into_iter().rev() {
+            slots.undo_insert(index, fresh).unwrap();
         }
-        for &(index, generation) in ids.iter().rev() {
-            slots.undo_insert(index, index >= 40 && generation == 0);
+        assert_eq!((slots.free().to_vec(), slots.capacity()), before);
+        assert_eq!(slots.index_of(20), None);
+    }
+
+    #[test]
+    fn parts_that_do_not_fit_are_refused() {
+        assert!(Slots::from_parts(vec![Some((1, ())), None], vec![1]).is_some());
+        for (entries, free) in [
+            (vec![Some((1, ())), Some((1, ()))], vec![]),
+            (vec![Some((1, ())), None], vec![]),
+            (vec![Some((1, ())), None], vec![0]),
+            (vec![None, None], vec![1, 1]),
+            (vec![Some((1, ()))], vec![4]),
+        ] {
+            assert!(Slots::from_parts(entries, free).is_none());
         }
-        assert!(slots.is_current(&before));
-        assert_eq!(slots.capacity(), 40);
     }
 }

@@ -1,10 +1,10 @@
-//! Values whose manifold is known only at run time, and the map from variables to them.
+//! Values whose manifold is known only at run time.
 
 use smallvec::SmallVec;
 
-use crate::graph::{Graph, GraphError};
-use crate::key::{Key, VariableId};
+use crate::error::GraphError;
 use crate::manifold::{Manifold, VariableType};
+use crate::user_code::guarded;
 
 /// A point on some manifold.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,6 +20,23 @@ impl Value {
         let mut storage = SmallVec::from_elem(0.0, value.storage_len());
         value.store(&mut storage);
         Self { kind: VariableType::of::<V>(), dim: value.dim(), storage }
+    }
+
+    /// A value of this type from the numbers that [`Manifold::store`] wrote, as read from a file.
+    ///
+    /// # Errors
+    /// [`GraphError::BadStorage`] for numbers that are no value of the type.
+    pub fn from_parts(kind: &'static VariableType, storage: &[f64]) -> Result<Self, GraphError> {
+        let bad = |problem: String| {
+            let (kind, numbers) = (kind.name(), storage.len());
+            GraphError::BadStorage { kind, numbers, problem }
+        };
+        // A type reads what it wrote itself; whatever else panics there is bad data.
+        let (dim, again) = guarded(|| kind.reload(storage)).map_err(bad)?;
+        if again != storage.len() {
+            return Err(bad(format!("such a value has {again} numbers")));
+        }
+        Ok(Self { kind, dim, storage: storage.into() })
     }
 
     /// Numbers that a manifold of this kind stored.
@@ -118,82 +135,5 @@ impl<'a> ValueRef<'a> {
     /// An owned copy.
     pub fn to_value(&self) -> Value {
         Value { kind: self.kind, dim: self.dim, storage: self.storage.into() }
-    }
-}
-
-/// One value for every variable of a graph, at the moment it was taken.
-///
-/// Flat: the numbers of all values stand in one array, laid out by the graph.
-#[derive(Clone, Debug)]
-pub struct Values {
-    variables: Vec<(VariableId, &'static VariableType, u32, u32)>,
-    data: Vec<f64>,
-    /// From a variable's slot to its place in `variables`; `u32::MAX` for slots without one.
-    places: Vec<u32>,
-}
-
-impl Values {
-    /// Copies, for each variable of `graph`, its part of `data` (laid out as
-    /// [`Graph::value_range`] says).
-    pub fn from_arena(graph: &Graph, data: &[f64]) -> Self {
-        let mut values = Self {
-            variables: Vec::new(),
-            data: Vec::new(),
-            places: vec![u32::MAX; graph.variable_slots()],
-        };
-        for id in graph.variables() {
-            let range = graph.value_range(id.index());
-            values.places[id.index()] = values.variables.len() as u32;
-            let dim = graph.dim_at(id.index()) as u32;
-            values.variables.push((id, graph.kind_at(id.index()), values.data.len() as u32, dim));
-            values.data.extend_from_slice(&data[range]);
-        }
-        values
-    }
-
-    /// How many values there are.
-    pub fn len(&self) -> usize {
-        self.variables.len()
-    }
-
-    /// Whether there is none.
-    pub fn is_empty(&self) -> bool {
-        self.variables.is_empty()
-    }
-
-    /// The value of a variable.
-    ///
-    /// # Errors
-    /// [`GraphError::UnknownVariable`] when it has none here.
-    pub fn value(&self, id: VariableId) -> Result<ValueRef<'_>, GraphError> {
-        let place = self.places.get(id.index()).copied().unwrap_or(u32::MAX) as usize;
-        match self.variables.get(place) {
-            Some(entry) if entry.0 == id => Ok(self.at(place)),
-            _ => Err(GraphError::UnknownVariable { variable: id }),
-        }
-    }
-
-    /// The value of a variable of known type.
-    ///
-    /// # Errors
-    /// [`GraphError::UnknownVariable`] when it has none here.
-    pub fn get<V: Manifold>(&self, key: Key<V>) -> Result<V, GraphError> {
-        let value = self.value(key.id())?;
-        value.get().ok_or(GraphError::WrongType {
-            variable: key.id(),
-            expected: V::NAME,
-            actual: value.kind().name(),
-        })
-    }
-
-    /// All variables with their values, in the order of their slots.
-    pub fn iter(&self) -> impl Iterator<Item = (VariableId, ValueRef<'_>)> {
-        (0..self.variables.len()).map(|place| (self.variables[place].0, self.at(place)))
-    }
-
-    fn at(&self, place: usize) -> ValueRef<'_> {
-        let (_, kind, start, dim) = self.variables[place];
-        let end = self.variables.get(place + 1).map_or(self.data.len(), |next| next.2 as usize);
-        ValueRef { kind, dim: dim as usize, storage: &self.data[start as usize..end] }
     }
 }

@@ -1,7 +1,9 @@
 //! Where the numbers of each variable stand in flat arrays.
 
+use serde::{Deserialize, Serialize};
+
 /// Ranges of a growing array; freed ones are used again for objects of exactly the same size.
-#[derive(Clone, Debug, Default, Hash)]
+#[derive(Clone, Debug, Default, PartialEq, Hash, Serialize, Deserialize)]
 pub(super) struct Layout {
     pub(super) len: u32,
     /// Starts of freed ranges, by size.
@@ -42,5 +44,20 @@ impl Layout {
         } else {
             self.release(range);
         }
+    }
+
+    /// Whether these ranges and the freed ones cover the array exactly, each place once.
+    pub(super) fn is_covered_by(&self, ranges: impl Iterator<Item = (u32, u32)>) -> bool {
+        let freed =
+            self.free.iter().flat_map(|(size, starts)| starts.iter().map(|&start| (start, *size)));
+        let mut all: Vec<(u32, u32)> = ranges.chain(freed).filter(|range| range.1 > 0).collect();
+        all.sort_unstable();
+        let end = all.iter().try_fold(
+            0,
+            |end: u32, &(start, size)| {
+                if start == end { end.checked_add(size) } else { None }
+            },
+        );
+        end == Some(self.len)
     }
 }

@@ -1,42 +1,64 @@
 //! The graph store: variables, factors, who touches whom, and how their numbers are laid out.
 
-mod error;
+mod evaluate;
 mod layout;
+mod saved;
 mod stage;
 
-pub use error::GraphError;
+pub use saved::{SavedFactor, SavedGraph, SavedVariable};
 pub use stage::Staged;
 
 use std::hash::{Hash, Hasher};
 use std::ops::Range;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
 
 use smallvec::SmallVec;
 
 use self::layout::Layout;
 use crate::change::Change;
+use crate::error::GraphError;
 use crate::factor::Factor;
-use crate::key::{FactorId, Key, VariableId, Version};
+use crate::ids::{Ids, UsedNumbers};
+use crate::key::{FactorId, FactorIndex, Key, VariableId, VariableIndex, Version};
 use crate::manifold::{Manifold, VariableType};
 use crate::slots::Slots;
 use crate::value::{Value, ValueRef};
 
 /// Variables, factors and adjacency.
 ///
-/// Objects live in dense slots; ids are generational. The numbers that belong to variables
-/// (linearization points, tangent vectors) are kept by whoever solves, in flat arrays laid out by
-/// [`value_range`](Self::value_range) and [`tangent_range`](Self::tangent_range).
+/// Every object has an id, which is never given twice, and while it lives a dense slot. The numbers
+/// that belong to variables (linearization points, tangent vectors) are kept by the solver, in flat
+/// arrays laid out by [`value_range`](Self::value_range) and [`tangent_range`](Self::tangent_range).
+///
+/// A clone is an independent graph with the same identity: it understands the ids and the changes
+/// of the original, and neither ever mints an id that the other has minted.
 #[derive(Clone, Debug)]
 pub struct Graph {
-    tag: u32,
-    variables: Slots<Variable>,
-    factors: Slots<Term>,
+    ids: Ids,
+    used: Vec<Used>,
+    variables: Slots<VariableId, Variable>,
+    factors: Slots<FactorId, Term>,
     value_layout: Layout,
     tangent_layout: Layout,
-    living_variables: usize,
-    living_factors: usize,
+    /// How many variables there are of each type.
+    kinds: Vec<(&'static VariableType, usize)>,
+    /// Unknown variables, and their tangent dimensions together.
+    unknowns: usize,
     dim: usize,
+}
+
+/// The ids of one source that have entered the graph.
+#[derive(Clone, Debug)]
+struct Used {
+    origin: u64,
+    variables: UsedNumbers,
+    factors: UsedNumbers,
+}
+
+impl Used {
+    fn nothing(origin: u64) -> Self {
+        Self { origin, variables: UsedNumbers::default(), factors: UsedNumbers::default() }
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -44,19 +66,40 @@ struct Variable {
     kind: &'static VariableType,
     value: (u32, u32),
     tangent: (u32, u32),
-    /// Slots of its factors, in the order they came.
-    factors: SmallVec<[u32; 6]>,
+    /// Its factors, in the order they were added.
+    factors: SmallVec<[FactorIndex; 6]>,
     version: Version,
+    fixed: bool,
 }
 
 /// A factor with its variables resolved to slots.
 #[derive(Clone, Debug)]
 struct Term {
     factor: Arc<dyn Factor>,
-    variables: SmallVec<[u32; 2]>,
-    /// First column of each Jacobian block, then of the residual.
+    variables: SmallVec<[VariableIndex; 2]>,
+    /// First column of each variable's Jacobian block, then of the residual.
     columns: SmallVec<[u32; 3]>,
     rows: u32,
+    /// Of a factor with fixed variables.
+    partial: Option<Box<Partial>>,
+}
+
+/// The part of a factor that the linear system sees.
+#[derive(Clone, Debug)]
+struct Partial {
+    unknowns: SmallVec<[VariableIndex; 2]>,
+    /// First column of each unknown's Jacobian block, then of the residual.
+    columns: SmallVec<[u32; 3]>,
+}
+
+impl Term {
+    fn unknowns(&self) -> &[VariableIndex] {
+        self.partial.as_ref().map_or(&self.variables, |partial| &partial.unknowns)
+    }
+
+    fn columns(&self) -> &[u32] {
+        self.partial.as_ref().map_or(&self.columns, |partial| &partial.columns)
+    }
 }
 
 impl Default for Graph {
@@ -68,50 +111,66 @@ impl Default for Graph {
 impl Graph {
     /// An empty graph.
     pub fn new() -> Self {
-        // The tag only tells ids of different graphs apart; no result depends on it.
-        static NEXT_TAG: AtomicU32 = AtomicU32::new(1);
+        let ids = Ids::new();
         Self {
-            tag: NEXT_TAG.fetch_add(1, Ordering::Relaxed),
+            used: vec![Used::nothing(ids.origin())],
+            ids,
             variables: Slots::default(),
             factors: Slots::default(),
             value_layout: Layout::default(),
             tangent_layout: Layout::default(),
-            living_variables: 0,
-            living_factors: 0,
+            kinds: Vec::new(),
+            unknowns: 0,
             dim: 0,
         }
     }
 
-    /// An empty change, made for the graph as it is now.
+    /// An empty change.
     pub fn change(&self) -> Change {
-        Change::new(self.tag, self.variables.plan(), self.factors.plan())
+        self.ids.change()
+    }
+
+    /// The source of the graph's ids, with which changes can be made anywhere.
+    pub fn ids(&self) -> Ids {
+        self.ids.clone()
     }
 
     // --- Questions by id -------------------------------------------------------------------
 
     /// How many variables there are.
     pub fn variable_count(&self) -> usize {
-        self.living_variables
+        self.variables.len()
+    }
+
+    /// How many variables are not fixed.
+    pub fn unknown_count(&self) -> usize {
+        self.unknowns
     }
 
     /// How many factors there are.
     pub fn factor_count(&self) -> usize {
-        self.living_factors
+        self.factors.len()
     }
 
-    /// Tangent dimension of all variables together: the columns of the Jacobian.
+    /// Tangent dimension of all unknown variables together: the columns of the Jacobian.
     pub fn dim(&self) -> usize {
         self.dim
     }
 
+    /// How many variables there are of each type that was ever added, in the order of the types'
+    /// first variables.
+    pub fn kinds(&self) -> impl Iterator<Item = (&'static VariableType, usize)> {
+        self.kinds.iter().copied()
+    }
+
     /// All variables, by slot.
     pub fn variables(&self) -> impl Iterator<Item = VariableId> {
-        self.variables.indices().map(|i| self.variable_id(i))
+        self.variable_indices().map(|i| self.variable_id(i))
     }
 
     /// All factors, by slot.
     pub fn factors(&self) -> impl Iterator<Item = (FactorId, &dyn Factor)> {
-        self.factors.indices().map(|i| (self.factor_id(i), &*self.term(i).factor))
+        self.factor_indices().map(|i| (self.factor_id(i), &*self.term(i).factor))
     }
 
     /// A factor.
@@ -119,27 +178,42 @@ impl Graph {
     /// # Errors
     /// [`GraphError::UnknownFactor`], [`GraphError::Foreign`].
     pub fn factor(&self, id: FactorId) -> Result<&Arc<dyn Factor>, GraphError> {
-        self.check_factor(id)?;
-        Ok(&self.term(id.index()).factor)
+        Ok(&self.term(self.factor_index(id)?).factor)
     }
 
-    /// The factors on a variable, in the order they came.
+    /// The factors on a variable, in the order they were added.
     ///
     /// # Errors
     /// [`GraphError::UnknownVariable`], [`GraphError::Foreign`].
-    pub fn factors_of(&self, id: VariableId) -> Result<Vec<FactorId>, GraphError> {
-        self.check_variable(id)?;
-        Ok(self.factors_at(id.index()).iter().map(|&f| self.factor_id(f as usize)).collect())
+    pub fn factors_of(&self, id: impl Into<VariableId>) -> Result<Vec<FactorId>, GraphError> {
+        let index = self.variable_index(id.into())?;
+        Ok(self.factors_at(index).iter().map(|&f| self.factor_id(f)).collect())
+    }
+
+    /// How many factors connect the variable with others. A factor on several others counts once.
+    ///
+    /// # Errors
+    /// [`GraphError::UnknownVariable`], [`GraphError::Foreign`].
+    pub fn degree(&self, id: impl Into<VariableId>) -> Result<usize, GraphError> {
+        let index = self.variable_index(id.into())?;
+        Ok(self.factors_at(index).iter().filter(|&&f| self.variables_at(f).len() > 1).count())
     }
 
     /// How often the variable was changed: factors added or dropped, linearization point moved by
-    /// a change.
+    /// a change, fixed or freed.
     ///
     /// # Errors
     /// [`GraphError::UnknownVariable`], [`GraphError::Foreign`].
-    pub fn version(&self, id: VariableId) -> Result<Version, GraphError> {
-        self.check_variable(id)?;
-        Ok(self.variable(id.index()).version)
+    pub fn version(&self, id: impl Into<VariableId>) -> Result<Version, GraphError> {
+        Ok(self.variable(self.variable_index(id.into())?).version)
+    }
+
+    /// Whether the variable is fixed.
+    ///
+    /// # Errors
+    /// [`GraphError::UnknownVariable`], [`GraphError::Foreign`].
+    pub fn is_fixed(&self, id: impl Into<VariableId>) -> Result<bool, GraphError> {
+        Ok(self.is_fixed_at(self.variable_index(id.into())?))
     }
 
     /// The typed key of a variable.
@@ -147,12 +221,37 @@ impl Graph {
     /// # Errors
     /// [`GraphError::UnknownVariable`], [`GraphError::Foreign`], [`GraphError::WrongType`].
     pub fn key<V: Manifold>(&self, id: VariableId) -> Result<Key<V>, GraphError> {
-        self.check_variable(id)?;
-        let kind = self.kind_at(id.index());
+        let kind = self.kind_at(self.variable_index(id)?);
         if kind.is::<V>() {
             Ok(Key::new(id))
         } else {
             Err(GraphError::WrongType { variable: id, expected: V::NAME, actual: kind.name() })
+        }
+    }
+
+    /// The slot of a variable.
+    ///
+    /// # Errors
+    /// [`GraphError::UnknownVariable`], [`GraphError::Foreign`].
+    #[inline]
+    pub fn variable_index(&self, id: VariableId) -> Result<VariableIndex, GraphError> {
+        match self.variables.index_of(id) {
+            Some(index) => Ok(VariableIndex::new(index)),
+            None if self.knows(id.origin) => Err(GraphError::UnknownVariable { variable: id }),
+            None => Err(GraphError::Foreign { what: format!("variable {id}") }),
+        }
+    }
+
+    /// The slot of a factor.
+    ///
+    /// # Errors
+    /// [`GraphError::UnknownFactor`], [`GraphError::Foreign`].
+    #[inline]
+    pub fn factor_index(&self, id: FactorId) -> Result<FactorIndex, GraphError> {
+        match self.factors.index_of(id) {
+            Some(index) => Ok(FactorIndex::new(index)),
+            None if self.knows(id.origin) => Err(GraphError::UnknownFactor { factor: id }),
+            None => Err(GraphError::Foreign { what: format!("factor {id}") }),
         }
     }
 
@@ -161,13 +260,7 @@ impl Graph {
     /// # Errors
     /// [`GraphError::UnknownVariable`], [`GraphError::Foreign`].
     pub fn check_variable(&self, id: VariableId) -> Result<(), GraphError> {
-        if id.graph != self.tag {
-            return Err(GraphError::Foreign { what: format!("variable {id}") });
-        }
-        match self.variables.get(id.index, id.generation) {
-            Some(_) => Ok(()),
-            None => Err(GraphError::UnknownVariable { variable: id }),
-        }
+        self.variable_index(id).map(|_| ())
     }
 
     /// Whether the factor is alive here.
@@ -175,13 +268,11 @@ impl Graph {
     /// # Errors
     /// [`GraphError::UnknownFactor`], [`GraphError::Foreign`].
     pub fn check_factor(&self, id: FactorId) -> Result<(), GraphError> {
-        if id.graph != self.tag {
-            return Err(GraphError::Foreign { what: format!("factor {id}") });
-        }
-        match self.factors.get(id.index, id.generation) {
-            Some(_) => Ok(()),
-            None => Err(GraphError::UnknownFactor { factor: id }),
-        }
+        self.factor_index(id).map(|_| ())
+    }
+
+    fn knows(&self, origin: u64) -> bool {
+        self.used.iter().any(|used| used.origin == origin)
     }
 
     // --- Questions by slot, for solvers ----------------------------------------------------
@@ -198,87 +289,109 @@ impl Graph {
     }
 
     /// Slots of the living variables, ascending.
-    pub fn variable_indices(&self) -> impl Iterator<Item = usize> {
-        self.variables.indices()
+    pub fn variable_indices(&self) -> impl Iterator<Item = VariableIndex> {
+        self.variables.indices().map(VariableIndex::new)
+    }
+
+    /// Slots of the living variables that are not fixed, ascending.
+    pub fn unknown_indices(&self) -> impl Iterator<Item = VariableIndex> {
+        self.variable_indices().filter(|&v| !self.is_fixed_at(v))
     }
 
     /// Slots of the living factors, ascending.
-    pub fn factor_indices(&self) -> impl Iterator<Item = usize> {
-        self.factors.indices()
+    pub fn factor_indices(&self) -> impl Iterator<Item = FactorIndex> {
+        self.factors.indices().map(FactorIndex::new)
     }
 
     /// Whether the variable slot holds a living variable.
-    pub fn is_variable_at(&self, index: usize) -> bool {
-        self.variables.at(index).is_some()
+    pub fn is_variable_at(&self, index: VariableIndex) -> bool {
+        self.variables.at(index.index()).is_some()
+    }
+
+    /// Whether the factor slot holds a living factor.
+    pub fn is_factor_at(&self, index: FactorIndex) -> bool {
+        self.factors.at(index.index()).is_some()
     }
 
     /// The id of the variable in a slot.
-    pub fn variable_id(&self, index: usize) -> VariableId {
-        VariableId {
-            index: index as u32,
-            generation: self.variables.generation(index),
-            graph: self.tag,
-        }
+    ///
+    /// # Panics
+    /// When the slot holds no living variable.
+    pub fn variable_id(&self, index: VariableIndex) -> VariableId {
+        self.variables.id_at(index.index()).expect("the slot holds a living variable")
     }
 
     /// The id of the factor in a slot.
-    pub fn factor_id(&self, index: usize) -> FactorId {
-        FactorId {
-            index: index as u32,
-            generation: self.factors.generation(index),
-            graph: self.tag,
-        }
+    ///
+    /// # Panics
+    /// When the slot holds no living factor.
+    pub fn factor_id(&self, index: FactorIndex) -> FactorId {
+        self.factors.id_at(index.index()).expect("the slot holds a living factor")
     }
 
     /// The manifold of the variable in a slot.
-    pub fn kind_at(&self, index: usize) -> &'static VariableType {
+    ///
+    /// # Panics
+    /// When the slot holds no living variable, as all of the following.
+    pub fn kind_at(&self, index: VariableIndex) -> &'static VariableType {
         self.variable(index).kind
     }
 
     /// The tangent dimension of the variable in a slot.
-    pub fn dim_at(&self, index: usize) -> usize {
+    pub fn dim_at(&self, index: VariableIndex) -> usize {
         self.variable(index).tangent.1 as usize
     }
 
+    /// Whether the variable in a slot is fixed.
+    pub fn is_fixed_at(&self, index: VariableIndex) -> bool {
+        self.variable(index).fixed
+    }
+
     /// The value of the variable in a slot from its stored numbers.
-    pub fn value(&self, index: usize, storage: &[f64]) -> Value {
+    pub fn value(&self, index: VariableIndex, storage: &[f64]) -> Value {
         Value::from_storage(self.kind_at(index), self.dim_at(index), storage)
     }
 
     /// The value of the variable in a slot, which stays where its stored numbers are.
-    pub fn value_ref<'a>(&self, index: usize, storage: &'a [f64]) -> ValueRef<'a> {
+    pub fn value_ref<'a>(&self, index: VariableIndex, storage: &'a [f64]) -> ValueRef<'a> {
         ValueRef::from_storage(self.kind_at(index), self.dim_at(index), storage)
     }
 
-    /// Slots of the factors on the variable in a slot, in the order they came.
-    pub fn factors_at(&self, index: usize) -> &[u32] {
+    /// The factors on the variable in a slot, in the order they were added.
+    pub fn factors_at(&self, index: VariableIndex) -> &[FactorIndex] {
         &self.variable(index).factors
     }
 
     /// The factor in a slot.
-    pub fn factor_at(&self, index: usize) -> &dyn Factor {
+    pub fn factor_at(&self, index: FactorIndex) -> &dyn Factor {
         &*self.term(index).factor
     }
 
-    /// Slots of the variables of the factor in a slot, in the order of its keys.
-    pub fn variables_at(&self, factor: usize) -> &[u32] {
+    /// The variables of the factor in a slot, in the order of its keys.
+    pub fn variables_at(&self, factor: FactorIndex) -> &[VariableIndex] {
         &self.term(factor).variables
     }
 
-    /// First column of each Jacobian block of the factor in a slot, then of its residual.
-    pub fn columns_at(&self, factor: usize) -> &[u32] {
-        &self.term(factor).columns
+    /// The variables of the factor in a slot that are not fixed, in the order of its keys.
+    pub fn unknowns_at(&self, factor: FactorIndex) -> &[VariableIndex] {
+        self.term(factor).unknowns()
+    }
+
+    /// First column of each unknown's Jacobian block of the factor in a slot, then of its residual.
+    pub fn columns_at(&self, factor: FactorIndex) -> &[u32] {
+        self.term(factor).columns()
     }
 
     /// Rows of the factor in a slot.
-    pub fn rows_at(&self, factor: usize) -> usize {
+    pub fn rows_at(&self, factor: FactorIndex) -> usize {
         self.term(factor).rows as usize
     }
 
-    /// Length of `[J₁ … Jₖ | r]` of the factor in a slot.
-    pub fn linearization_len(&self, factor: usize) -> usize {
+    /// Length of `[J₁ … Jₖ | r]` of the factor in a slot, a block for each of its unknowns.
+    pub fn linearization_len(&self, factor: FactorIndex) -> usize {
         let term = self.term(factor);
-        term.rows as usize * (term.columns[term.columns.len() - 1] as usize + 1)
+        let columns = term.columns();
+        term.rows as usize * (columns[columns.len() - 1] as usize + 1)
     }
 
     /// Length of an array that holds a value for every variable slot.
@@ -292,94 +405,48 @@ impl Graph {
     }
 
     /// Where the value of the variable in a slot stands.
-    pub fn value_range(&self, index: usize) -> Range<usize> {
+    pub fn value_range(&self, index: VariableIndex) -> Range<usize> {
         let (start, len) = self.variable(index).value;
         start as usize..(start + len) as usize
     }
 
     /// Where the tangent vector of the variable in a slot stands.
-    pub fn tangent_range(&self, index: usize) -> Range<usize> {
+    pub fn tangent_range(&self, index: VariableIndex) -> Range<usize> {
         let (start, len) = self.variable(index).tangent;
         start as usize..(start + len) as usize
     }
 
-    /// Feeds everything but the factors' own contents and the graph's tag to a hash: equal graphs
-    /// give equal ids to equal changes.
+    /// Feeds everything that later results depend on to a hash: slots, layouts, adjacency, versions,
+    /// fixed variables.
+    ///
+    /// Left out, with their reasons: the numbers of ids, which only name; the contents of factors,
+    /// which never change and whose linearizations the solver hashes.
     pub fn hash_state(&self, hash: &mut impl Hasher) {
         self.variables.hash_state(hash);
         self.factors.hash_state(hash);
-        (&self.value_layout, &self.tangent_layout, self.dim).hash(hash);
-        for index in self.variables.indices() {
-            let Variable { kind, value, tangent, factors, version } = self.variable(index);
-            (kind.name(), value, tangent, factors.as_slice(), version).hash(hash);
+        (&self.value_layout, &self.tangent_layout, self.dim, self.unknowns).hash(hash);
+        for index in self.variable_indices() {
+            let Variable { kind, value, tangent, factors, version, fixed } = self.variable(index);
+            (kind.name(), value, tangent, factors.as_slice(), version, fixed).hash(hash);
         }
-        for index in self.factors.indices() {
+        for index in self.factor_indices() {
             let Term { variables, columns, rows, .. } = self.term(index);
             (variables.as_slice(), columns.as_slice(), rows).hash(hash);
         }
     }
 
-    // --- Evaluation ------------------------------------------------------------------------
-
-    /// Linearizes the factor in a slot at `values` (laid out by [`value_range`](Self::value_range))
-    /// into `out`, `[J₁ … Jₖ | r]` column-major.
-    pub fn linearize(&self, factor: usize, values: &[f64], out: &mut [f64]) {
-        let term = self.term(factor);
-        out.fill(0.0);
-        self.with_arguments(term, values, |arguments| {
-            let mut linearization =
-                crate::Linearization::new(term.rows as usize, &term.columns, out);
-            term.factor.linearize(arguments, &mut linearization);
-        });
+    #[inline]
+    fn variable(&self, index: VariableIndex) -> &Variable {
+        self.variables.at(index.index()).expect("the slot holds a living variable")
     }
 
-    /// The term of the objective of the factor in a slot at `values`.
-    pub fn factor_error(&self, factor: usize, values: &[f64]) -> f64 {
-        let term = self.term(factor);
-        with_scratch(term.rows as usize, 0.0, |residual: &mut [f64]| {
-            self.with_arguments(term, values, |arguments| {
-                term.factor.residual(arguments, residual)
-            });
-            term.factor.error(residual)
-        })
+    #[inline]
+    fn variable_mut(&mut self, index: VariableIndex) -> &mut Variable {
+        self.variables.at_mut(index.index()).expect("the slot holds a living variable")
     }
 
-    /// The objective at `values`: the sum of all factors' terms, in the order of their slots.
-    pub fn error(&self, values: &[f64]) -> f64 {
-        self.factors.indices().map(|f| self.factor_error(f, values)).sum()
-    }
-
-    fn with_arguments<R>(
-        &self,
-        term: &Term,
-        values: &[f64],
-        f: impl FnOnce(&crate::Arguments<'_>) -> R,
-    ) -> R {
-        with_scratch(term.variables.len(), &values[..0], |storages| {
-            for (storage, &variable) in storages.iter_mut().zip(&term.variables) {
-                *storage = &values[self.value_range(variable as usize)];
-            }
-            f(&crate::Arguments::new(storages))
-        })
-    }
-
-    fn variable(&self, index: usize) -> &Variable {
-        self.variables.at(index).expect("the slot holds a living variable")
-    }
-
-    fn variable_mut(&mut self, index: usize) -> &mut Variable {
-        self.variables.at_mut(index).expect("the slot holds a living variable")
-    }
-
-    fn term(&self, index: usize) -> &Term {
-        self.factors.at(index).expect("the slot holds a living factor")
-    }
-}
-
-/// A slice of `len` for the time of `f`: on the stack, unless a factor is unusually large.
-fn with_scratch<T: Copy, R>(len: usize, fill: T, f: impl FnOnce(&mut [T]) -> R) -> R {
-    match [fill; 6].get_mut(..len) {
-        Some(scratch) => f(scratch),
-        None => f(&mut vec![fill; len]),
+    #[inline]
+    fn term(&self, index: FactorIndex) -> &Term {
+        self.factors.at(index.index()).expect("the slot holds a living factor")
     }
 }

@@ -9,13 +9,17 @@ use crate::key::{FactorId, VariableId};
 #[non_exhaustive]
 pub enum GraphError {
     /// The id was removed, or was never given.
-    #[error("variable {variable} is not in the graph (it was removed, or never added)")]
+    #[error(
+        "variable {variable} is not in the graph (it was removed, or the change that adds it has not been applied here)"
+    )]
     UnknownVariable {
         /// The id asked for.
         variable: VariableId,
     },
     /// The id was removed, or was never given.
-    #[error("factor {factor} is not in the graph (it was dropped, or never added)")]
+    #[error(
+        "factor {factor} is not in the graph (it was dropped, or the change that adds it has not been applied here)"
+    )]
     UnknownFactor {
         /// The id asked for.
         factor: FactorId,
@@ -113,5 +117,82 @@ pub enum GraphError {
     Stale {
         /// What has moved on.
         reason: String,
+    },
+    /// The same change was applied before, or an id of it otherwise entered the graph.
+    #[error(
+        "{what} has been in the graph already; a change is applied once, make a new one to add the same again"
+    )]
+    AddedBefore {
+        /// The object.
+        what: String,
+    },
+    /// Instructions of one change that exclude each other.
+    #[error("variable {variable} is to be {first} and {second} in the same change; leave one out")]
+    Contradiction {
+        /// The variable.
+        variable: VariableId,
+        /// One instruction.
+        first: &'static str,
+        /// The other.
+        second: &'static str,
+    },
+    /// The code of a factor panicked.
+    #[error(
+        "factor {factor} ({name}) panicked: {message}; nothing was changed. \
+         Check its residual and Jacobian with `testing::check_jacobian`"
+    )]
+    FactorPanicked {
+        /// The factor.
+        factor: FactorId,
+        /// Its type.
+        name: String,
+        /// The message of the panic.
+        message: String,
+    },
+    /// The code of a manifold panicked.
+    #[error(
+        "the type {kind} of variable {variable} panicked: {message}; nothing was changed. \
+         Check it with `testing::check_manifold`"
+    )]
+    VariablePanicked {
+        /// The variable.
+        variable: VariableId,
+        /// Its type.
+        kind: &'static str,
+        /// The message of the panic.
+        message: String,
+    },
+    /// A manifold gave a NaN or an infinity for finite numbers.
+    #[error(
+        "`retract` of {kind} gives a value that is not finite for variable {variable}; \
+         check the type with `testing::check_manifold`"
+    )]
+    NonFiniteRetraction {
+        /// The variable.
+        variable: VariableId,
+        /// Its type.
+        kind: &'static str,
+    },
+    /// Stored numbers are no value of the type that they are for.
+    #[error("{numbers} stored numbers are no value of type {kind}: {problem}")]
+    BadStorage {
+        /// The type.
+        kind: &'static str,
+        /// How many numbers there are.
+        numbers: usize,
+        /// The reason.
+        problem: String,
+    },
+    /// A saved graph contradicts itself.
+    #[error("the saved graph is damaged: {problem}")]
+    Damaged {
+        /// The contradiction.
+        problem: String,
+    },
+    /// A saved graph has variables of a type that is not known here.
+    #[error("the saved graph has variables of type {name}, which is not registered")]
+    UnknownType {
+        /// The type's name.
+        name: String,
     },
 }

@@ -1,0 +1,157 @@
+//! Residuals, Jacobians and moved values of what stands in a graph.
+
+use smallvec::SmallVec;
+
+use super::{Graph, Partial, Term};
+use crate::arguments::{Arguments, Linearization};
+use crate::error::GraphError;
+use crate::key::{FactorIndex, VariableIndex};
+use crate::user_code::{guarded_factor, guarded_variable};
+
+impl Graph {
+    /// Linearizes the factor in a slot at `values` (laid out by [`value_range`](Self::value_range))
+    /// into `out`, `[J₁ … Jₖ | r]` column-major, a block for each of its
+    /// [unknowns](Self::unknowns_at).
+    ///
+    /// # Errors
+    /// [`GraphError::FactorPanicked`]; `out` then holds no meaningful numbers.
+    pub fn linearize(
+        &self,
+        factor: FactorIndex,
+        values: &[f64],
+        out: &mut [f64],
+    ) -> Result<(), GraphError> {
+        let term = self.term(factor);
+        match &term.partial {
+            None => self.linearize_all(factor, term, values, out),
+            Some(partial) => {
+                let columns = term.columns[term.columns.len() - 1] as usize + 1;
+                let mut whole: SmallVec<[f64; 96]> =
+                    SmallVec::from_elem(0.0, term.rows as usize * columns);
+                self.linearize_all(factor, term, values, &mut whole)?;
+                copy_unknowns(term, partial, &whole, out);
+                Ok(())
+            }
+        }
+    }
+
+    /// Blocks for all variables of a factor.
+    fn linearize_all(
+        &self,
+        factor: FactorIndex,
+        term: &Term,
+        values: &[f64],
+        out: &mut [f64],
+    ) -> Result<(), GraphError> {
+        out.fill(0.0);
+        self.with_arguments(term, values, |arguments| {
+            guarded_factor(self.factor_id(factor), &*term.factor, || {
+                let mut linearization = Linearization::new(term.rows as usize, &term.columns, out);
+                term.factor.linearize(arguments, &mut linearization);
+            })
+        })
+    }
+
+    /// The whitened residual of the factor in a slot at `values`; `out` has
+    /// [`rows_at`](Self::rows_at) entries.
+    ///
+    /// # Errors
+    /// [`GraphError::FactorPanicked`]; `out` then holds no meaningful numbers.
+    pub fn residual(
+        &self,
+        factor: FactorIndex,
+        values: &[f64],
+        out: &mut [f64],
+    ) -> Result<(), GraphError> {
+        let term = self.term(factor);
+        self.with_arguments(term, values, |arguments| {
+            guarded_factor(self.factor_id(factor), &*term.factor, || {
+                term.factor.residual(arguments, out);
+            })
+        })
+    }
+
+    /// The term of the objective of the factor in a slot at `values`.
+    ///
+    /// # Errors
+    /// [`GraphError::FactorPanicked`].
+    pub fn factor_error(&self, factor: FactorIndex, values: &[f64]) -> Result<f64, GraphError> {
+        let term = self.term(factor);
+        with_scratch(term.rows as usize, 0.0, |residual: &mut [f64]| {
+            self.with_arguments(term, values, |arguments| {
+                guarded_factor(self.factor_id(factor), &*term.factor, || {
+                    term.factor.residual(arguments, residual);
+                    term.factor.error(residual)
+                })
+            })
+        })
+    }
+
+    /// The objective at `values`: the sum of all factors' terms, in the order of their slots.
+    ///
+    /// # Errors
+    /// [`GraphError::FactorPanicked`].
+    pub fn error(&self, values: &[f64]) -> Result<f64, GraphError> {
+        self.factor_indices().map(|f| self.factor_error(f, values)).sum()
+    }
+
+    /// The value of the variable in a slot, moved from `point` along `delta`, a tangent vector
+    /// there. `out` has the length of the variable's [`value_range`](Self::value_range).
+    ///
+    /// # Errors
+    /// [`GraphError::VariablePanicked`], [`GraphError::NonFiniteRetraction`]; `out` then holds no
+    /// meaningful numbers.
+    pub fn retract(
+        &self,
+        variable: VariableIndex,
+        point: &[f64],
+        delta: &[f64],
+        out: &mut [f64],
+    ) -> Result<(), GraphError> {
+        let (id, kind) = (self.variable_id(variable), self.kind_at(variable));
+        guarded_variable(id, kind, || kind.retract(point, delta, out))?;
+        if out.iter().all(|x| x.is_finite()) {
+            Ok(())
+        } else {
+            Err(GraphError::NonFiniteRetraction { variable: id, kind: kind.name() })
+        }
+    }
+
+    fn with_arguments<R>(
+        &self,
+        term: &Term,
+        values: &[f64],
+        f: impl FnOnce(&Arguments<'_>) -> R,
+    ) -> R {
+        with_scratch(term.variables.len(), &values[..0], |storages| {
+            for (storage, &variable) in storages.iter_mut().zip(&term.variables) {
+                *storage = &values[self.value_range(variable)];
+            }
+            f(&Arguments::new(storages))
+        })
+    }
+}
+
+/// Copies the blocks of a factor's unknowns, and its residual, from those of all its variables.
+fn copy_unknowns(term: &Term, partial: &Partial, whole: &[f64], out: &mut [f64]) {
+    let rows = term.rows as usize;
+    let mut unknowns = partial.unknowns.iter().peekable();
+    let mut end = 0;
+    for (k, variable) in term.variables.iter().enumerate() {
+        if unknowns.next_if_eq(&variable).is_some() {
+            let block =
+                &whole[rows * term.columns[k] as usize..rows * term.columns[k + 1] as usize];
+            out[end..end + block.len()].copy_from_slice(block);
+            end += block.len();
+        }
+    }
+    out[end..].copy_from_slice(&whole[whole.len() - rows..]);
+}
+
+/// A slice of `len` for the time of `f`: on the stack, unless a factor is unusually large.
+fn with_scratch<T: Copy, R>(len: usize, fill: T, f: impl FnOnce(&mut [T]) -> R) -> R {
+    match [fill; 6].get_mut(..len) {
+        Some(scratch) => f(scratch),
+        None => f(&mut vec![fill; len]),
+    }
+}
