@@ -139,7 +139,8 @@ impl<D: FnMut()> Remover for Live<'_, D> {
     type Error = ThinningError;
 
     fn slot(&self, node: VariableId) -> Result<usize, ThinningError> {
-        Ok(node.index())
+        let graph = self.smoother.graph();
+        Ok(graph.variable_index(node).map_err(RemovalError::from)?.index())
     }
 
     fn degree(&self, node: VariableId) -> Result<usize, ThinningError> {

@@ -68,6 +68,7 @@ pub mod autodiff;
 mod bearing2;
 mod bearing3;
 mod between;
+mod conditioned;
 mod cross;
 mod differences;
 mod error;
@@ -93,6 +94,7 @@ pub use bearing3::{Bearing3, BearingRange3};
 pub use between::{
     Between, BetweenPoint2, BetweenPoint3, BetweenPose2, BetweenPose3, BetweenRot2, BetweenRot3,
 };
+pub use conditioned::Conditioned;
 pub use differences::{
     DepthDifference, HeadingDifference, TranslationDifference2, TranslationDifference3,
 };
