@@ -1,11 +1,11 @@
-//! What is free when a system is singular. Runs only on the way to an error.
+//! The free directions of a singular system. Runs only on the way to an error.
 //!
 //! The null space of JᵀJ over the connected component of the failed variable is found by inverse
 //! iteration on a slightly damped factorization, and put into words.
 
 use std::collections::BTreeSet;
 
-use evergraph_model::Graph;
+use evergraph_model::{FactorIndex, Graph, VariableIndex};
 use faer::linalg::solvers::Solve;
 use faer::sparse::{SparseColMat, Triplet};
 use faer::{Mat, Side};
@@ -23,19 +23,25 @@ const FREE: f64 = 1e-9;
 /// Components of a free direction below this share of its largest do not take part.
 const TAKES_PART: f64 = 1e-3;
 
-/// Explains why the pivot of `variable` is zero, leaving out the factors and variables (ascending)
-/// that are being dropped. Costs one factorization of the variable's connected component.
+/// Factors and variables, ascending, that a change drops: they do not count.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Dropped<'a> {
+    pub(crate) factors: &'a [FactorIndex],
+    pub(crate) variables: &'a [VariableIndex],
+}
+
+/// Explains why the pivot of `variable` is zero. Costs one factorization of the variable's connected component.
 pub(crate) fn singular(
     graph: &Graph,
     blocks: &Blocks,
-    dropped: (&[u32], &[u32]),
-    variable: u32,
+    dropped: Dropped<'_>,
+    variable: VariableIndex,
 ) -> Singular {
     let component = component_of(graph, dropped, variable);
-    let null = null_space(graph, blocks, dropped.0, &component);
+    let null = null_space(graph, blocks, dropped, &component);
     let mut free: Vec<FreeVariable> = Vec::new();
     for (position, &v) in component.variables.iter().enumerate() {
-        let dim = graph.dim_at(v as usize);
+        let dim = graph.dim_at(v);
         let start = component.starts[position];
         let involved: Vec<usize> = (0..dim)
             .filter(|i| null.iter().any(|direction| direction[start + i].abs() > TAKES_PART))
@@ -43,13 +49,13 @@ pub(crate) fn singular(
         if involved.is_empty() {
             continue;
         }
-        let kind = graph.kind_at(v as usize);
+        let kind = graph.kind_at(v);
         let directions = null
             .iter()
             .filter(|direction| (0..dim).any(|i| direction[start + i].abs() > TAKES_PART))
             .count();
         free.push(FreeVariable {
-            variable: graph.variable_id(v as usize),
+            variable: graph.variable_id(v),
             dim,
             free: directions.min(involved.len()),
             components: involved.into_iter().map(|i| kind.component(i)).collect(),
@@ -58,10 +64,10 @@ pub(crate) fn singular(
     let whole = component.variables.len();
     if free.is_empty() {
         // No direction is free to working precision, but this pivot was lost: name it alone.
-        let kind = graph.kind_at(variable as usize);
-        let dim = graph.dim_at(variable as usize);
+        let kind = graph.kind_at(variable);
+        let dim = graph.dim_at(variable);
         free.push(FreeVariable {
-            variable: graph.variable_id(variable as usize),
+            variable: graph.variable_id(variable),
             dim,
             free: 1,
             components: (0..dim).map(|i| kind.component(i)).collect(),
@@ -77,36 +83,33 @@ pub(crate) fn singular(
     Singular::Variables { variables: free }
 }
 
-/// Variables that are connected, and where their scalars stand among those of the component.
+/// Unknowns that are connected, and the first of each one's scalars among those of the component. A
+/// fixed variable connects nothing: it is given.
 struct Component {
-    variables: Vec<u32>,
+    variables: Vec<VariableIndex>,
     starts: Vec<usize>,
     dim: usize,
 }
 
-fn component_of(graph: &Graph, (factors, variables): (&[u32], &[u32]), start: u32) -> Component {
+fn component_of(graph: &Graph, dropped: Dropped<'_>, start: VariableIndex) -> Component {
+    let Dropped { factors, variables } = dropped;
     let mut seen = BTreeSet::from([start]);
     let mut stack = vec![start];
     while let Some(v) = stack.pop() {
-        for &f in graph.factors_at(v as usize).iter().filter(|f| factors.binary_search(f).is_err())
-        {
-            for &u in graph
-                .variables_at(f as usize)
-                .iter()
-                .filter(|u| variables.binary_search(u).is_err())
-            {
+        for &f in graph.factors_at(v).iter().filter(|f| factors.binary_search(f).is_err()) {
+            for &u in graph.unknowns_at(f).iter().filter(|u| variables.binary_search(u).is_err()) {
                 if seen.insert(u) {
                     stack.push(u);
                 }
             }
         }
     }
-    let variables: Vec<u32> = seen.into_iter().collect();
+    let variables: Vec<VariableIndex> = seen.into_iter().collect();
     let mut starts = Vec::with_capacity(variables.len());
     let mut dim = 0;
     for &v in &variables {
         starts.push(dim);
-        dim += graph.dim_at(v as usize);
+        dim += graph.dim_at(v);
     }
     Component { variables, starts, dim }
 }
@@ -116,26 +119,27 @@ fn component_of(graph: &Graph, (factors, variables): (&[u32], &[u32]), start: u3
 fn null_space(
     graph: &Graph,
     blocks: &Blocks,
-    dropped: &[u32],
+    dropped: Dropped<'_>,
     component: &Component,
 ) -> Vec<Vec<f64>> {
-    let place = |v: u32| component.variables.binary_search(&v).ok().map(|i| component.starts[i]);
-    let factors: BTreeSet<u32> = component
+    let place =
+        |v: VariableIndex| component.variables.binary_search(&v).ok().map(|i| component.starts[i]);
+    let factors: BTreeSet<FactorIndex> = component
         .variables
         .iter()
-        .flat_map(|&v| graph.factors_at(v as usize).iter().copied())
-        .filter(|f| dropped.binary_search(f).is_err())
+        .flat_map(|&v| graph.factors_at(v).iter().copied())
+        .filter(|f| dropped.factors.binary_search(f).is_err())
         .collect();
     // Columns scaled to unit length, so that units do not matter.
     let mut scale = vec![0.0_f64; component.dim];
     let mut columns: Vec<Vec<(usize, Vec<f64>)>> = Vec::new();
     for &f in &factors {
-        let rows = graph.rows_at(f as usize);
-        let mut chunks = blocks.get(f as usize).chunks_exact(rows);
+        let rows = graph.rows_at(f);
+        let mut chunks = blocks.get(f).chunks_exact(rows);
         let mut list = Vec::new();
-        for &v in graph.variables_at(f as usize) {
+        for &v in graph.unknowns_at(f) {
             let start = place(v);
-            for i in 0..graph.dim_at(v as usize) {
+            for i in 0..graph.dim_at(v) {
                 if let (Some(start), Some(column)) = (start, chunks.next()) {
                     scale[start + i] += column.iter().map(|x| x * x).sum::<f64>();
                     list.push((start + i, column.to_vec()));

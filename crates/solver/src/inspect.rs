@@ -1,5 +1,8 @@
 //! The linear system and its factor as plain sparse triplets, for oracles and for reading.
 
+use evergraph_model::VariableIndex;
+
+use crate::factorization::Factorization;
 use crate::smoother::Smoother;
 use crate::solve;
 
@@ -25,22 +28,22 @@ pub struct LinearSystem {
 impl Smoother {
     /// Copies the linear system out. O(entries); for tests and study.
     pub fn linear_system(&self) -> LinearSystem {
-        let graph = &self.graph;
+        let Factorization { graph, blocks, tree, .. } = &self.factorization;
         // Scalars in the order of elimination: children before parents.
         let mut column_of = vec![usize::MAX; graph.tangent_len()];
-        let mut cliques = self.tree.top_down();
+        let mut cliques = tree.top_down();
         cliques.reverse();
         let mut columns = 0;
         for &c in &cliques {
-            for &v in &self.tree.clique(c).structure.frontals {
-                for scalar in graph.tangent_range(v as usize) {
+            for &v in &tree.clique(c).structure.frontals {
+                for scalar in graph.tangent_range(v) {
                     column_of[scalar] = columns;
                     columns += 1;
                 }
             }
         }
-        let scalars_of = |variables: &[u32]| {
-            variables.iter().flat_map(|&v| graph.tangent_range(v as usize)).collect::<Vec<_>>()
+        let scalars_of = |variables: &[VariableIndex]| {
+            variables.iter().flat_map(|&v| graph.tangent_range(v)).collect::<Vec<_>>()
         };
         let mut system = LinearSystem {
             rows: 0,
@@ -53,9 +56,9 @@ impl Smoother {
         };
         for f in graph.factor_indices() {
             let rows = graph.rows_at(f);
-            let block = self.blocks.get(f);
+            let block = blocks.get(f);
             for (scalar, column) in
-                scalars_of(graph.variables_at(f)).into_iter().zip(block.chunks_exact(rows))
+                scalars_of(graph.unknowns_at(f)).into_iter().zip(block.chunks_exact(rows))
             {
                 for (i, &x) in column.iter().enumerate() {
                     system.jacobian.push((system.rows + i, column_of[scalar], x));
@@ -65,7 +68,7 @@ impl Smoother {
             system.rows += rows;
         }
         for &c in &cliques {
-            let clique = self.tree.clique(c);
+            let clique = tree.clique(c);
             let scalars = scalars_of(&clique.structure.variables().collect::<Vec<_>>());
             for j in 0..clique.numeric.layout.frontal() {
                 let column = column_of[scalars[j]];
@@ -77,7 +80,7 @@ impl Smoother {
                 system.rhs[column] = *rhs;
             }
         }
-        let delta = solve::all(self.scratch.instructions, graph, &self.tree);
+        let delta = solve::all(self.engine.instructions, graph, tree);
         for (scalar, &column) in column_of.iter().enumerate() {
             if column != usize::MAX {
                 system.delta[column] = delta[scalar];

@@ -45,6 +45,7 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
+mod background;
 mod batch;
 mod belief;
 mod covariance;
@@ -52,11 +53,16 @@ mod dense;
 mod diagnose;
 mod eliminate;
 mod error;
+mod estimate_cache;
+mod factor_query;
+mod factorization;
+mod index;
 mod inspect;
-mod install;
-mod kept;
 mod linearization;
+mod optimize;
 mod ordering;
+mod pending;
+mod planner;
 mod pool;
 mod profile;
 mod quadratic;
@@ -67,15 +73,16 @@ mod settings;
 mod smoother;
 mod solve;
 mod symbolic;
+#[cfg(test)]
+mod tests;
 mod tree;
-mod undo;
-mod update;
 
 pub use batch::{BatchReport, BatchSettings, Method, Reason, Status};
 pub use covariance::Covariances;
 pub use error::{FreeVariable, Singular, SmootherError};
+pub use estimate_cache::Estimates;
+pub use factor_query::FactorLinearization;
 pub use inspect::LinearSystem;
-pub use kept::Estimates;
 pub use profile::{Phase, Profile};
 pub use report::{FactorizationSize, Report};
 pub use settings::{Elimination, Fluid, Relinearization, Settings, SettingsError};

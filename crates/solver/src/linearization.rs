@@ -1,6 +1,7 @@
-//! The linear system at the linearization points: one block `[J₁ … Jₖ | r]` per factor.
+//! The linear system at the linearization points: one block `[J₁ … Jₖ | r]` per factor, with a
+//! Jacobian for each of its unknowns.
 
-use evergraph_model::Graph;
+use evergraph_model::{FactorIndex, Graph, GraphError};
 
 /// Whitened Jacobians and residuals of all factors, in one array.
 #[derive(Clone, Debug, Default)]
@@ -12,14 +13,30 @@ pub(crate) struct Blocks {
     free: Vec<(usize, Vec<usize>)>,
 }
 
-/// Where a block stands: start and length; length 0 for none.
-type Place = (usize, usize);
+/// A block in the array: start and length; length 0 for none.
+pub(crate) type Place = (usize, usize);
+
+/// Sizes of [`Blocks`] before an insertion.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Mark {
+    data: usize,
+    places: usize,
+}
+
+/// The reason why a factor has no usable linearization.
+#[derive(Clone, Debug)]
+pub(crate) enum Flaw {
+    /// Its residual or Jacobian holds a NaN or an infinity.
+    NotFinite,
+    /// Its code panicked.
+    Refused(GraphError),
+}
 
 impl Blocks {
     /// `[J₁ … Jₖ | r]` of a factor, column-major.
     #[inline]
-    pub(crate) fn get(&self, factor: usize) -> &[f64] {
-        self.at(self.places[factor])
+    pub(crate) fn get(&self, factor: FactorIndex) -> &[f64] {
+        self.at(self.places[factor.index()])
     }
 
     #[inline]
@@ -27,57 +44,80 @@ impl Blocks {
         &self.data[start..start + len]
     }
 
-    /// Makes room for a new factor and linearizes it. Returns whether all numbers are finite.
-    pub(crate) fn insert(&mut self, graph: &Graph, factor: usize, points: &[f64]) -> bool {
-        if self.places.len() <= factor {
-            self.places.resize(factor + 1, (0, 0));
+    /// Makes room for a new factor and linearizes it.
+    ///
+    /// # Errors
+    /// A [`Flaw`]; the room is then taken all the same.
+    pub(crate) fn insert(
+        &mut self,
+        graph: &Graph,
+        factor: FactorIndex,
+        points: &[f64],
+    ) -> Result<(), Flaw> {
+        if self.places.len() <= factor.index() {
+            self.places.resize(factor.index() + 1, (0, 0));
         }
-        self.places[factor] = self.take(graph.linearization_len(factor));
+        self.places[factor.index()] = self.take(graph.linearization_len(factor));
         self.relinearize(graph, factor, points)
     }
 
-    /// Linearizes a factor again. Returns whether all numbers are finite.
-    pub(crate) fn relinearize(&mut self, graph: &Graph, factor: usize, points: &[f64]) -> bool {
-        self.linearize_at(self.places[factor], graph, factor, points)
+    /// Linearizes a factor again.
+    ///
+    /// # Errors
+    /// A [`Flaw`]; the numbers of the block mean nothing then.
+    pub(crate) fn relinearize(
+        &mut self,
+        graph: &Graph,
+        factor: FactorIndex,
+        points: &[f64],
+    ) -> Result<(), Flaw> {
+        self.linearize_at(self.places[factor.index()], graph, factor, points)
     }
 
     fn linearize_at(
         &mut self,
         (start, len): Place,
         graph: &Graph,
-        factor: usize,
+        factor: FactorIndex,
         points: &[f64],
-    ) -> bool {
+    ) -> Result<(), Flaw> {
         let block = &mut self.data[start..start + len];
-        graph.linearize(factor, points, block);
-        block.iter().all(|x| x.is_finite())
+        graph.linearize(factor, points, block).map_err(Flaw::Refused)?;
+        if block.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(Flaw::NotFinite) }
     }
 
-    /// Puts a block back that was read by [`get`](Self::get) before.
-    pub(crate) fn restore(&mut self, factor: usize, block: &[f64]) {
-        let (start, len) = self.places[factor];
+    /// Restores a block that was read by [`get`](Self::get) before.
+    pub(crate) fn restore(&mut self, factor: FactorIndex, block: &[f64]) {
+        let (start, len) = self.places[factor.index()];
         self.data[start..start + len].copy_from_slice(block);
     }
 
-    pub(crate) fn remove(&mut self, factor: usize) {
-        let place = std::mem::take(&mut self.places[factor]);
-        self.give(place);
+    /// Frees the room of a factor.
+    pub(crate) fn remove(&mut self, factor: FactorIndex) {
+        let place = std::mem::take(&mut self.places[factor.index()]);
+        self.release(place);
     }
 
-    /// Takes back the newest [`insert`](Self::insert): [`mark`](Self::mark) was called before it.
-    pub(crate) fn undo_insert(&mut self, factor: usize, mark: (usize, usize)) {
-        let place = std::mem::take(&mut self.places[factor]);
-        if self.data.len() > mark.0 {
+    /// The place of a factor's block; none for a factor that has not been inserted.
+    pub(crate) fn place(&self, factor: FactorIndex) -> Place {
+        self.places.get(factor.index()).copied().unwrap_or_default()
+    }
+
+    /// Reverts the newest [`insert`](Self::insert). [`place`](Self::place) and
+    /// [`mark`](Self::mark) were read before it.
+    pub(crate) fn undo_insert(&mut self, factor: FactorIndex, before: Place, mark: Mark) {
+        let place = std::mem::replace(&mut self.places[factor.index()], before);
+        if self.data.len() > mark.data {
             self.data.truncate(place.0);
         } else {
-            self.give(place);
+            self.release(place);
         }
-        self.places.truncate(mark.1);
+        self.places.truncate(mark.places);
     }
 
     /// The sizes that [`undo_insert`](Self::undo_insert) goes back to.
-    pub(crate) fn mark(&self) -> (usize, usize) {
-        (self.data.len(), self.places.len())
+    pub(crate) fn mark(&self) -> Mark {
+        Mark { data: self.data.len(), places: self.places.len() }
     }
 
     fn take(&mut self, len: usize) -> Place {
@@ -90,12 +130,19 @@ impl Blocks {
         (start, len)
     }
 
-    fn give(&mut self, (start, len): Place) {
+    /// Frees a place that no factor refers to.
+    pub(crate) fn release(&mut self, (start, len): Place) {
         match self.free.iter_mut().find(|(l, _)| *l == len) {
             _ if len == 0 => {}
             Some((_, starts)) => starts.push(start),
             None => self.free.push((len, vec![start])),
         }
+    }
+
+    /// Bytes of the arrays.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        let free: usize = self.free.iter().map(|(_, starts)| size_of_val(&starts[..])).sum();
+        8 * self.data.capacity() + size_of::<Place>() * self.places.capacity() + free
     }
 }
 
@@ -105,62 +152,78 @@ impl Blocks {
 pub(crate) struct Overlay {
     /// In the order of [`insert`](Self::insert); none until it is linearized.
     places: Vec<Place>,
-    /// By factor slot: position in `places`; `u32::MAX` for none.
+    /// By factor slot: position in `places`; [`NO_POSITION`] for none.
     positions: Vec<u32>,
 }
 
+const NO_POSITION: u32 = u32::MAX;
+
+/// What [`Overlay::insert`] found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Inserted {
+    New,
+    Known,
+}
+
 impl Overlay {
-    /// Takes a factor in; whether it was not.
-    pub(crate) fn insert(&mut self, graph: &Graph, factor: usize) -> bool {
+    /// Takes a factor in.
+    pub(crate) fn insert(&mut self, graph: &Graph, factor: FactorIndex) -> Inserted {
         if self.positions.len() < graph.factor_slots() {
-            self.positions.resize(graph.factor_slots(), u32::MAX);
+            self.positions.resize(graph.factor_slots(), NO_POSITION);
         }
-        let is_new = self.positions[factor] == u32::MAX;
-        if is_new {
-            self.positions[factor] = self.places.len() as u32;
-            self.places.push((0, 0));
+        if self.positions[factor.index()] != NO_POSITION {
+            return Inserted::Known;
         }
-        is_new
+        self.positions[factor.index()] = self.places.len() as u32;
+        self.places.push((0, 0));
+        Inserted::New
     }
 
-    /// Where in `places` a factor that was taken in is.
+    /// The position in `places` of a factor that was taken in.
     #[inline]
-    pub(crate) fn position(&self, factor: usize) -> Option<usize> {
-        self.positions.get(factor).filter(|at| **at != u32::MAX).map(|at| *at as usize)
+    pub(crate) fn position(&self, factor: FactorIndex) -> Option<usize> {
+        self.positions.get(factor.index()).filter(|at| **at != NO_POSITION).map(|at| *at as usize)
+    }
+
+    /// The block at a position; empty until it is linearized.
+    pub(crate) fn at<'a>(&self, blocks: &'a Blocks, position: usize) -> &'a [f64] {
+        blocks.at(self.places[position])
     }
 
     /// The block of a factor.
     #[inline]
-    pub(crate) fn get<'a>(&self, blocks: &'a Blocks, factor: usize) -> Option<&'a [f64]> {
+    pub(crate) fn get<'a>(&self, blocks: &'a Blocks, factor: FactorIndex) -> Option<&'a [f64]> {
         Some(blocks.at(self.places[self.position(factor)?]))
     }
 
-    /// Linearizes a factor that was taken in. Returns whether all numbers are finite.
+    /// Linearizes the factor at a position.
+    ///
+    /// # Errors
+    /// A [`Flaw`]; the room is then taken all the same.
     pub(crate) fn linearize(
         &mut self,
         blocks: &mut Blocks,
         graph: &Graph,
-        factor: usize,
+        (factor, position): (FactorIndex, usize),
         points: &[f64],
-    ) -> bool {
-        let Some(position) = self.position(factor) else { return false };
+    ) -> Result<(), Flaw> {
         let place = blocks.take(graph.linearization_len(factor));
         self.places[position] = place;
         blocks.linearize_at(place, graph, factor, points)
     }
 
     /// Exchanges the block at a position with the factor's own.
-    pub(crate) fn swap(&mut self, blocks: &mut Blocks, factor: usize, position: usize) {
-        std::mem::swap(&mut blocks.places[factor], &mut self.places[position]);
+    pub(crate) fn swap(&mut self, blocks: &mut Blocks, factor: FactorIndex, position: usize) {
+        std::mem::swap(&mut blocks.places[factor.index()], &mut self.places[position]);
     }
 
-    pub(crate) fn forget(&mut self, factor: usize) {
-        self.positions[factor] = u32::MAX;
+    pub(crate) fn forget(&mut self, factor: FactorIndex) {
+        self.positions[factor.index()] = NO_POSITION;
     }
 
     /// Frees the room; the factors have been forgotten.
     pub(crate) fn clear(&mut self, blocks: &mut Blocks) {
         // The first is taken first again.
-        self.places.drain(..).rev().for_each(|place| blocks.give(place));
+        self.places.drain(..).rev().for_each(|place| blocks.release(place));
     }
 }

@@ -1,18 +1,29 @@
 //! The quadratic model `½ ‖Jδ + r‖²` of the objective, and what steps are made of.
 
-use evergraph_model::Graph;
+use evergraph_model::{Graph, GraphError};
 
 use crate::linearization::Blocks;
 
-/// `x ⊕ δ` for all variables.
-pub(crate) fn retract_all(graph: &Graph, points: &[f64], delta: &[f64]) -> Vec<f64> {
+/// `x ⊕ δ` for all variables; fixed ones stay.
+///
+/// # Errors
+/// A manifold panics or gives a value that is not finite.
+pub(crate) fn retract_all(
+    graph: &Graph,
+    points: &[f64],
+    delta: &[f64],
+) -> Result<Vec<f64>, GraphError> {
     let mut out = vec![0.0; points.len()];
     for v in graph.variable_indices() {
         let range = graph.value_range(v);
-        let delta = &delta[graph.tangent_range(v)];
-        graph.kind_at(v).retract(&points[range.clone()], delta, &mut out[range]);
+        if graph.is_fixed_at(v) {
+            out[range.clone()].copy_from_slice(&points[range]);
+        } else {
+            let delta = &delta[graph.tangent_range(v)];
+            graph.retract(v, &points[range.clone()], delta, &mut out[range])?;
+        }
     }
-    out
+    Ok(out)
 }
 
 /// Calls `visit` with each factor's columns: the scalar that each belongs to, the column, and the
@@ -22,7 +33,7 @@ fn for_each_column(graph: &Graph, blocks: &Blocks, mut visit: impl FnMut(usize, 
         let rows = graph.rows_at(f);
         let block = blocks.get(f);
         let residual = &block[block.len() - rows..];
-        let scalars = graph.variables_at(f).iter().flat_map(|&v| graph.tangent_range(v as usize));
+        let scalars = graph.unknowns_at(f).iter().flat_map(|&v| graph.tangent_range(v));
         for (scalar, column) in scalars.zip(block.chunks_exact(rows)) {
             visit(scalar, column, residual);
         }
@@ -56,7 +67,7 @@ fn products(graph: &Graph, blocks: &Blocks, delta: &[f64]) -> (f64, f64) {
         let block = blocks.get(f);
         product.clear();
         product.resize(rows, 0.0);
-        let scalars = graph.variables_at(f).iter().flat_map(|&v| graph.tangent_range(v as usize));
+        let scalars = graph.unknowns_at(f).iter().flat_map(|&v| graph.tangent_range(v));
         for (scalar, column) in scalars.zip(block.chunks_exact(rows)) {
             for (p, x) in product.iter_mut().zip(column) {
                 *p += x * delta[scalar];

@@ -2,120 +2,61 @@
 
 use std::sync::Arc;
 
-use evergraph_model::{Change, Graph, Staged};
+use evergraph_model::{Change, Staged};
 use tracing::trace;
 
+use crate::background::Background;
 use crate::dense::Instructions;
-use crate::diagnose;
-use crate::eliminate::{self, Eliminated, Failure, Job, System, Workspace};
 use crate::error::SmootherError;
-use crate::kept::Kept;
-use crate::linearization::Blocks;
+use crate::estimate_cache::EstimateCache;
+use crate::factorization::{Engine, Factorization, Refusal, Update};
+use crate::pending::Pending;
 use crate::profile::{Phase, Profile};
-use crate::relinearize::{Ahead, Background, Checked};
 use crate::report::Report;
 use crate::settings::Settings;
-use crate::solve;
-use crate::tree::{Clique, NONE, Tree};
-use crate::undo::Undo;
-use crate::update::Planner;
 
 /// An incremental smoother: a factor graph, its square-root information matrix as a tree of
 /// cliques, and the estimate.
 ///
-/// [`apply`](Self::apply) is the only way to alter it. It is `Send`. A clone is an independent
-/// smoother that understands the keys made before it was cloned; keys made later are good for the
-/// one that made them only.
+/// [`apply`](Self::apply) is the only way to alter the graph. A smoother is `Send`. A clone is an
+/// independent smoother; ids made before it was cloned name the same variables in both. Buffers are
+/// not cloned.
 #[derive(Clone, Debug)]
 pub struct Smoother {
     pub(crate) settings: Settings,
-    pub(crate) graph: Graph,
-    /// Linearization points, by [`Graph::value_range`].
-    pub(crate) points: Vec<f64>,
-    pub(crate) blocks: Blocks,
-    pub(crate) tree: Tree,
-    pub(crate) solution: solve::State,
-    /// What was told to whoever asked for everyone's estimate; no part of the state.
-    pub(crate) kept: Kept,
+    pub(crate) factorization: Factorization,
     /// Relinearization in progress.
-    pub(crate) ahead: Ahead,
+    pub(crate) pending: Pending,
     pub(crate) checked: Checked,
     /// A batch step on another thread.
     pub(crate) background: Option<Background>,
-    /// Slot of the variable that is eliminated last.
-    pub(crate) newest: u32,
     /// Changes applied.
     pub(crate) steps: u64,
-    /// Right after an optimization the estimate is the point it found, which is the linearization
-    /// point: where it did not converge, the next Gauss-Newton step would lead away from it.
-    pub(crate) at_optimum: bool,
-    pub(crate) scratch: Scratch,
+    /// No part of the state: no later answer depends on it.
+    pub(crate) estimate_cache: EstimateCache,
+    pub(crate) engine: Engine,
 }
 
-/// Buffers and helpers that are not part of the state.
-#[derive(Debug)]
-pub(crate) struct Scratch {
-    pub(crate) planner: Planner,
-    pub(crate) job: Job,
-    pub(crate) eliminated: Eliminated,
-    pub(crate) undo: Undo,
-    /// Variables that this step relinearizes.
-    pub(crate) due: Vec<u32>,
-    /// Factors to linearize again.
-    again: Vec<u32>,
-    pub(crate) workspace: Workspace,
-    /// The clique of each node of a job that is installed.
-    pub(crate) installed: Vec<u32>,
-    /// Cliques taken out of the tree whose first frontals stay.
-    pub(crate) shortened: Vec<Option<Clique>>,
-    pub(crate) instructions: Instructions,
-    pub(crate) pool: Option<Arc<rayon::ThreadPool>>,
+/// The last checks for variables that have moved.
+#[derive(Clone, Copy, Debug, Default, Hash)]
+pub(crate) struct Checked {
+    /// The step of any check. Where points have just moved, the next one comes at once: after a
+    /// large loop closure it takes more than one.
+    pub(crate) fluid: u64,
+    /// The step of a sweep.
+    pub(crate) sweep: u64,
+    /// Whether the last check, or batch step, found nothing to relinearize.
+    pub(crate) is_settled: bool,
 }
 
-impl Scratch {
-    fn new(instructions: Instructions, pool: Option<Arc<rayon::ThreadPool>>) -> Self {
-        Self {
-            planner: Planner::default(),
-            job: Job::default(),
-            eliminated: Eliminated::default(),
-            undo: Undo::default(),
-            due: Vec::new(),
-            again: Vec::new(),
-            workspace: Workspace::default(),
-            installed: Vec::new(),
-            shortened: Vec::new(),
-            instructions,
-            pool,
-        }
-    }
-}
-
-impl Clone for Scratch {
-    fn clone(&self) -> Self {
-        Self::new(self.instructions, self.pool.clone())
-    }
-}
-
-/// Why a change could not be eliminated.
-pub(crate) enum Refusal {
-    /// What was done ahead of time has to be done otherwise.
-    Ahead,
-    Error(SmootherError),
-}
-
-impl From<SmootherError> for Refusal {
-    fn from(error: SmootherError) -> Self {
-        Self::Error(error)
-    }
-}
-
-impl From<Refusal> for SmootherError {
-    fn from(refusal: Refusal) -> Self {
-        match refusal {
-            Refusal::Error(error) => error,
-            Refusal::Ahead => unreachable!("without points that are due nothing was done ahead"),
-        }
-    }
+/// What became of a relinearization that was ready when a change came.
+pub(crate) enum Takeover {
+    /// None was ready, or the change moves points itself.
+    Nothing,
+    /// It takes effect together with the change.
+    Complete,
+    /// Together with it the change could not be eliminated, but without it.
+    Refused(Refusal),
 }
 
 impl Smoother {
@@ -125,7 +66,7 @@ impl Smoother {
     /// [`SmootherError::Settings`], [`SmootherError::Threads`].
     pub fn new(settings: Settings) -> Result<Self, SmootherError> {
         settings.check()?;
-        let pool = match settings.threads {
+        let threads = match settings.threads {
             1 => None,
             threads => Some(Arc::new(
                 rayon::ThreadPoolBuilder::new().num_threads(threads).build().map_err(|error| {
@@ -133,55 +74,21 @@ impl Smoother {
                 })?,
             )),
         };
-        let instructions = Instructions::select()?;
-        Ok(Self::empty(settings, Scratch::new(instructions, pool)))
-    }
-
-    fn empty(settings: Settings, scratch: Scratch) -> Self {
-        Self {
+        Ok(Self {
             settings,
-            graph: Graph::new(),
-            points: Vec::new(),
-            blocks: Blocks::default(),
-            tree: Tree::default(),
-            solution: solve::State::default(),
-            kept: Kept::default(),
-            ahead: Ahead::default(),
+            factorization: Factorization::default(),
+            pending: Pending::default(),
             checked: Checked::default(),
             background: None,
-            newest: NONE,
             steps: 0,
-            at_optimum: false,
-            scratch,
-        }
+            estimate_cache: EstimateCache::default(),
+            engine: Engine::new(settings.elimination, Instructions::select()?, threads),
+        })
     }
 
-    /// A smoother with all of a graph, linearized at `points`, on one thread.
-    pub(crate) fn from_graph(
-        settings: Settings,
-        graph: Graph,
-        points: Vec<f64>,
-        newest: u32,
-        instructions: Instructions,
-    ) -> Result<Self, SmootherError> {
-        let mut smoother = Self::empty(settings, Scratch::new(instructions, None));
-        (smoother.graph, smoother.points, smoother.newest) = (graph, points, newest);
-        for factor in smoother.graph.factor_indices() {
-            if !smoother.blocks.insert(&smoother.graph, factor, &smoother.points) {
-                return Err(smoother.non_finite(factor));
-            }
-        }
-        smoother.solution.resize(&smoother.graph);
-        let Scratch { planner, job, workspace, .. } = &mut smoother.scratch;
-        planner.gather_graph(&smoother.graph, &smoother.tree);
-        planner.plan(&smoother.graph, &smoother.tree, newest, job, &mut workspace.clock);
-        smoother.eliminate_and_install(None)?;
-        Ok(smoother)
-    }
-
-    /// An empty change for the graph as it is now.
+    /// An empty change for the graph.
     pub fn change(&self) -> Change {
-        self.graph.change()
+        self.factorization.graph.change()
     }
 
     /// Applies a change, whole or not at all, and relinearizes when the policy says so.
@@ -190,43 +97,30 @@ impl Smoother {
     /// clique alone for a pose that continues a trajectory, more when a loop closes.
     ///
     /// # Errors
-    /// [`SmootherError`]; graph, estimate and factorization are then bit for bit what they were.
+    /// [`SmootherError`]; graph, estimate and factorization are then bit for bit what they were. An
+    /// error of a relinearization does not undo the change: see
+    /// [`Report::relinearization_refused`].
     pub fn apply(&mut self, change: Change) -> Result<Report, SmootherError> {
-        self.scratch.workspace.clock.start();
+        self.engine.workspace.clock.start();
         // 1. Check the change, and add to the graph what it adds.
-        let staged = self.graph.stage(&change)?;
-        let newest = self.newest_after(&staged);
-        // 2. Eliminate what it affects anew, together with what is due to be relinearized.
-        let mut report = Report::default();
-        let mut done = self.eliminate_change(&change, &staged, newest, true);
-        if done.is_err() && !self.scratch.due.is_empty() {
-            // Perhaps without moving points that nobody asked to move.
-            let refusal = done.err();
-            done = self.eliminate_change(&change, &staged, newest, false);
-            if done.is_ok() {
-                report.relinearization_refused = self.set_aside(refusal);
+        let staged = self.factorization.stage(&change)?;
+        // 2. Linearize and eliminate what it affects, with a relinearization that is ready.
+        let (update, takeover) = match self.eliminate(&change, &staged) {
+            Ok(eliminated) => eliminated,
+            Err(error) => {
+                self.factorization.unstage(staged);
+                return Err(error);
             }
-        }
-        if let Err(refusal) = done {
-            self.graph.unstage(staged);
-            return Err(refusal.into());
-        }
-        // 3. Commit.
-        report.variables_eliminated = self.scratch.planner.variables.len();
-        report.cliques_eliminated = self.scratch.job.nodes.len();
-        report.subtrees_kept = self.scratch.planner.orphans.len();
-        report.variables_relinearized = self.scratch.due.len();
-        report.smallest_pivot_ratio = self.scratch.eliminated.smallest_pivot_ratio();
-        self.install();
-        self.lap(Phase::Install);
-        self.commit(staged, &change);
-        self.newest = newest;
+        };
+        // 3. Commit: replace the affected cliques, and drop what the change drops.
+        let mut report = self.report_on(&staged, &update);
+        report.relinearization_refused = self.commit(staged, update, takeover);
         self.steps += 1;
-        self.at_optimum = false;
         self.lap(Phase::Stage);
-        // 4. Relinearize: go on, or look what has moved.
+        // 4. Relinearize: go on, or look for variables that have moved.
         self.relinearize(change, &mut report);
-        report.rank = self.graph.dim();
+        report.rank = self.factorization.graph.dim();
+        report.converged = self.checked.is_settled && !self.pending.is_active();
         trace!(
             step = self.steps,
             variables = report.variables_eliminated,
@@ -240,174 +134,93 @@ impl Smoother {
 
     /// Starts to measure where the time of [`apply`](Self::apply) goes, from zero, or stops.
     pub fn set_profiling(&mut self, on: bool) {
-        self.scratch.workspace.clock.set(on);
+        self.engine.workspace.clock.set(on);
     }
 
     /// Where the time has gone since profiling was switched on.
     pub fn profile(&self) -> &Profile {
-        &self.scratch.workspace.clock.profile
+        &self.engine.workspace.clock.profile
     }
 
     pub(crate) fn lap(&mut self, phase: Phase) {
-        self.scratch.workspace.clock.lap(phase);
+        self.engine.workspace.clock.lap(phase);
     }
 
     // --- Steps of `apply` ------------------------------------------------------------------
 
-    /// Everything that may fail. On error, points and Jacobians are what they were.
-    pub(crate) fn eliminate_change(
+    /// Step 2: with the pending relinearization if that is ready, or else without.
+    fn eliminate(
         &mut self,
         change: &Change,
         staged: &Staged,
-        newest: u32,
-        with_due: bool,
-    ) -> Result<(), Refusal> {
-        self.lap(Phase::Stage);
-        // Mark the cliques that the change touches, and their ancestors, to be detached.
-        let moved = change.moves().iter().map(|(v, _)| v.index() as u32);
-        self.scratch.planner.touch_change(&self.graph, &self.tree, staged, moved);
-        // Mark those of variables that are due, to be eliminated again in place.
-        self.choose_due(change, with_due);
-        self.lap(Phase::Detach);
-        // Move points and linearize.
-        self.scratch.undo.start(self.points.len());
-        let result = self.linearize(change, staged).map_err(Refusal::from).and_then(|()| {
-            self.lap(Phase::Linearize);
-            // Order the affected variables and build the new cliques.
-            let Scratch { planner, job, workspace, .. } = &mut self.scratch;
-            planner.gather_change(&self.graph, &self.tree, staged);
-            workspace.clock.lap(Phase::Gather);
-            planner.plan(&self.graph, &self.tree, newest, job, &mut workspace.clock);
-            // Eliminate, bottom-up.
-            let dropped = (staged.dropped_factors(), staged.dropped_variables());
-            self.eliminate(None).map_err(|failure| match failure {
-                Failure::Ahead => Refusal::Ahead,
-                failure => self.explain(failure, dropped.0, dropped.1).into(),
-            })
-        });
-        if result.is_err() {
-            self.scratch.undo.take_back(&self.graph, &mut self.points, &mut self.blocks);
-            if !self.scratch.due.is_empty() {
-                self.ahead.swap(&self.graph, &mut self.points, &mut self.blocks);
+    ) -> Result<(Update, Takeover), SmootherError> {
+        let Self { factorization, pending, engine, .. } = self;
+        let is_ready = pending.is_ready()
+            && !moves_points(staged)
+            && pending.variables(&factorization.graph).next().is_some();
+        if !is_ready {
+            let update = factorization.eliminate(change, staged, None, engine)?;
+            return Ok((update, Takeover::Nothing));
+        }
+        match factorization.eliminate(change, staged, Some(pending), engine) {
+            Ok(update) => Ok((update, Takeover::Complete)),
+            Err(refusal) => {
+                // Perhaps without moving points that the change does not move.
+                let update = factorization.eliminate(change, staged, None, engine)?;
+                Ok((update, Takeover::Refused(refusal)))
             }
         }
-        result
     }
 
-    /// Moves the points that the change moves and those that are due, and linearizes what is on
-    /// them and what is new.
-    fn linearize(&mut self, change: &Change, staged: &Staged) -> Result<(), SmootherError> {
-        let Self { graph, points, blocks, ahead, scratch, .. } = self;
-        let Scratch { undo, due, again, .. } = scratch;
-        points.resize(graph.value_len(), 0.0);
-        for (id, value) in change.new_variables() {
-            points[graph.value_range(id.index())].copy_from_slice(value.storage());
-        }
-        again.clear();
-        for (id, value) in change.moves() {
-            undo.save_point(graph, points, id.index() as u32);
-            points[graph.value_range(id.index())].copy_from_slice(value.storage());
-            again.extend_from_slice(graph.factors_at(id.index()));
-        }
-        if !due.is_empty() {
-            ahead.swap(graph, points, blocks);
-            let factors = due.iter().flat_map(|&v| graph.factors_at(v as usize).iter().copied());
-            again.extend(factors.filter(|&f| !ahead.has(graph, f)));
-        }
-        for factor in staged.new_factors() {
-            undo.save_insertion(blocks, factor as u32);
-            if !blocks.insert(graph, factor, points) {
-                return Err(self.non_finite(factor));
-            }
-        }
-        again.sort_unstable();
-        again.dedup();
-        again.retain(|f| staged.dropped_factors().binary_search(f).is_err());
-        for &factor in &*again {
-            undo.save_block(blocks, factor);
-            if !blocks.relinearize(graph, factor as usize, points) {
-                return Err(self.non_finite(factor as usize));
-            }
-        }
-        Ok(())
-    }
-
-    pub(crate) fn non_finite(&self, factor: usize) -> SmootherError {
-        SmootherError::NonFinite {
-            factor: self.graph.factor_id(factor),
-            name: self.graph.factor_at(factor).name(),
-            variables: self.graph.factor_at(factor).keys().to_vec(),
+    /// The report on an update, before it is committed.
+    pub(crate) fn report_on(&self, staged: &Staged, update: &Update) -> Report {
+        let graph = &self.factorization.graph;
+        Report {
+            variables_eliminated: update.plan.variables,
+            cliques_eliminated: update.plan.job.nodes.len(),
+            subtrees_kept: update.plan.subtrees_kept,
+            variables_relinearized: update.relinearized.len(),
+            relinearized: update.relinearized.iter().map(|&v| graph.variable_id(v)).collect(),
+            smallest_pivot_ratio: update.eliminated.smallest_pivot_ratio(),
+            new_variables: staged.new_variables().map(|v| graph.variable_id(v)).collect(),
+            ..Report::default()
         }
     }
 
-    /// The variable to eliminate last: the latest of the largest new ones (of a pose and its
-    /// landmarks the pose, which the next change will continue), else the one so far.
-    fn newest_after(&self, staged: &Staged) -> u32 {
-        let new = staged.new_variables().max_by_key(|&v| self.graph.dim_at(v));
-        let dropped = staged.dropped_variables().binary_search(&self.newest).is_ok();
-        new.map_or(if dropped { NONE } else { self.newest }, |v| v as u32)
-    }
-
-    /// Eliminates the job at hand with the current blocks and settings.
-    pub(crate) fn eliminate(&mut self, damping: Option<&[f64]>) -> Result<(), Failure> {
-        let Self { graph, blocks, tree, ahead, settings, scratch, .. } = self;
-        let system = System::new(graph, blocks, tree, settings.elimination, scratch.instructions);
-        let system = System { ahead: Some(ahead), damping, ..system };
-        let Scratch { job, eliminated, workspace, pool, .. } = scratch;
-        eliminate::eliminate(&system, job, eliminated, workspace, pool.as_deref())
-    }
-
-    /// Eliminates a job that changes nothing in the graph, and puts the result into the tree.
-    pub(crate) fn eliminate_and_install(
+    /// Step 3. Returns the reason why a relinearization was given up, if one was.
+    pub(crate) fn commit(
         &mut self,
-        damping: Option<&[f64]>,
-    ) -> Result<(), SmootherError> {
-        self.eliminate(damping).map_err(|failure| self.explain(failure, &[], &[]))?;
-        self.install();
-        self.lap(Phase::Install);
-        Ok(())
-    }
-
-    /// Puts a failure into words; factors and variables that are being dropped (ascending) do not
-    /// count.
-    pub(crate) fn explain(
-        &self,
-        failure: Failure,
-        factors: &[u32],
-        variables: &[u32],
-    ) -> SmootherError {
-        match failure {
-            Failure::Undetermined { variable } => {
-                diagnose::singular(&self.graph, &self.blocks, (factors, variables), variable).into()
+        staged: Staged,
+        update: Update,
+        takeover: Takeover,
+    ) -> Option<SmootherError> {
+        let Self { factorization, pending, engine, estimate_cache, .. } = self;
+        let Factorization { graph, points, .. } = &*factorization;
+        let set = staged.fixed().iter().chain(staged.moved()).copied();
+        estimate_cache.set_fixed(graph, points, set.chain(staged.new_variables()));
+        let ends = moves_points(&staged) || matches!(takeover, Takeover::Complete);
+        let taken = matches!(takeover, Takeover::Complete).then_some(&mut *pending);
+        factorization.commit(staged, update, taken, engine);
+        if ends {
+            // A relinearization in progress was for other points than these.
+            pending.clear(&mut factorization.blocks, &mut engine.workspace.pool);
+        }
+        match takeover {
+            Takeover::Nothing => {}
+            // Where points have just moved, the next check comes at once.
+            Takeover::Complete => self.checked.fluid = 0,
+            // All of it is computed again in the step that takes it over.
+            Takeover::Refused(Refusal::Pending) => pending.make_direct(),
+            Takeover::Refused(Refusal::Error(error)) => {
+                pending.clear(&mut factorization.blocks, &mut engine.workspace.pool);
+                return Some(error);
             }
-            Failure::Overflow { variable } => {
-                SmootherError::Overflow { variable: self.graph.variable_id(variable as usize) }
-            }
-            Failure::Ahead => unreachable!("only `apply` takes over what was done ahead"),
         }
+        None
     }
+}
 
-    pub(crate) fn commit(&mut self, staged: Staged, change: &Change) {
-        for &factor in staged.dropped_factors() {
-            self.blocks.remove(factor as usize);
-        }
-        self.solution.resize(&self.graph);
-        for variable in staged.new_variables() {
-            self.solution.reset(&self.graph, variable);
-        }
-        for (variable, _) in change.moves() {
-            self.solution.reset(&self.graph, variable.index());
-        }
-        for &variable in &self.scratch.due {
-            self.solution.reset(&self.graph, variable as usize);
-        }
-        if !self.scratch.due.is_empty() {
-            self.checked.fluid = 0;
-        }
-        // What was in progress for other points than these cannot go on.
-        if !self.scratch.due.is_empty() || !change.moves().is_empty() {
-            self.ahead.clear(&mut self.blocks, &mut self.scratch.workspace.pool);
-        }
-        self.graph.commit(staged);
-    }
+/// Whether a change moves points, or turns variables into unknowns or back.
+fn moves_points(staged: &Staged) -> bool {
+    !(staged.moved().is_empty() && staged.fixed().is_empty() && staged.freed().is_empty())
 }

@@ -5,12 +5,14 @@
 //! [`State::refresh`] (only what has changed by more than a tolerance).
 
 use std::collections::HashMap;
+use std::hash::{Hash, Hasher};
 
-use evergraph_model::Graph;
+use evergraph_model::{Graph, GraphError, VariableIndex};
 use pulp::{Simd, WithSimd};
 
 use crate::dense::Instructions;
-use crate::tree::{Clique, NONE, Numeric, Tree};
+use crate::index::CliqueIndex;
+use crate::tree::{Clique, Numeric, Tree};
 
 /// Solves one clique for its frontal scalars from `first` on, which are left in `scratch`; what is
 /// before them means nothing. `read` writes a separator variable's δ to the front of a slice, and
@@ -20,7 +22,7 @@ pub(crate) fn solve_clique(
     clique: &Clique,
     first: usize,
     scratch: &mut Vec<f64>,
-    read: impl Fn(u32, &mut [f64]) -> usize,
+    read: impl Fn(VariableIndex, &mut [f64]) -> usize,
 ) {
     let layout = clique.numeric.layout;
     let (n, frontal) = (layout.columns(), layout.frontal());
@@ -99,11 +101,11 @@ pub(crate) fn all(instructions: Instructions, graph: &Graph, tree: &Tree) -> Vec
     for index in tree.top_down() {
         let clique = tree.clique(index);
         solve_clique(instructions, clique, 0, &mut scratch, |v, out| {
-            copy_to_front(&delta[graph.tangent_range(v as usize)], out)
+            copy_to_front(&delta[graph.tangent_range(v)], out)
         });
         let mut at = 0;
         for &v in &clique.structure.frontals {
-            let range = graph.tangent_range(v as usize);
+            let range = graph.tangent_range(v);
             let dim = range.len();
             delta[range].copy_from_slice(&scratch[at..at + dim]);
             at += dim;
@@ -112,14 +114,16 @@ pub(crate) fn all(instructions: Instructions, graph: &Graph, tree: &Tree) -> Vec
     delta
 }
 
-/// δ of one variable, exact: solves the cliques between its root and its own.
+/// δ of one variable, exact: solves the cliques between its root and its own. Zero for a fixed one.
 pub(crate) fn path(
     instructions: Instructions,
     graph: &Graph,
     tree: &Tree,
-    variable: u32,
+    variable: VariableIndex,
 ) -> Vec<f64> {
-    let own = tree.clique_of(variable);
+    let Some(own) = tree.clique_of(variable).some() else {
+        return vec![0.0; graph.dim_at(variable)];
+    };
     let mut solved = Solved { instructions, graph, tree, cliques: HashMap::new() };
     for clique in tree.path_to(own) {
         // Of the variable's own clique only what is solved before it: of the newest, itself.
@@ -134,11 +138,14 @@ pub(crate) fn paths(
     instructions: Instructions,
     graph: &Graph,
     tree: &Tree,
-    variables: &[u32],
+    variables: &[VariableIndex],
 ) -> Vec<Vec<f64>> {
     let mut solved = Solved { instructions, graph, tree, cliques: HashMap::new() };
-    let mut delta = |variable: u32| {
-        for clique in tree.path_to(tree.clique_of(variable)) {
+    let mut delta = |variable: VariableIndex| {
+        let Some(own) = tree.clique_of(variable).some() else {
+            return vec![0.0; graph.dim_at(variable)];
+        };
+        for clique in tree.path_to(own) {
             if !solved.cliques.contains_key(&clique) {
                 solved.solve(clique, 0);
             }
@@ -153,12 +160,12 @@ struct Solved<'a> {
     instructions: Instructions,
     graph: &'a Graph,
     tree: &'a Tree,
-    cliques: HashMap<u32, Vec<f64>>,
+    cliques: HashMap<CliqueIndex, Vec<f64>>,
 }
 
 impl Solved<'_> {
     /// Solves one more clique for its frontal scalars from `first` on, after those above it.
-    fn solve(&mut self, index: u32, first: usize) {
+    fn solve(&mut self, index: CliqueIndex, first: usize) {
         let mut scratch = Vec::new();
         let clique = self.tree.clique(index);
         solve_clique(self.instructions, clique, first, &mut scratch, |v, out| {
@@ -168,7 +175,7 @@ impl Solved<'_> {
     }
 
     /// δ of a variable that is frontal in one of the cliques.
-    fn of(&self, variable: u32) -> &[f64] {
+    fn of(&self, variable: VariableIndex) -> &[f64] {
         let owner = self.tree.clique_of(variable);
         frontal_part(self.graph, self.tree.clique(owner), &self.cliques[&owner], variable)
     }
@@ -179,26 +186,30 @@ fn frontal_part<'a>(
     graph: &Graph,
     clique: &Clique,
     solution: &'a [f64],
-    variable: u32,
+    variable: VariableIndex,
 ) -> &'a [f64] {
     let start = offset_of(graph, clique, variable);
-    &solution[start..start + graph.dim_at(variable as usize)]
+    &solution[start..start + graph.dim_at(variable)]
 }
 
 /// Where a frontal variable's scalars begin among those of its clique.
-fn offset_of(graph: &Graph, clique: &Clique, variable: u32) -> usize {
+fn offset_of(graph: &Graph, clique: &Clique, variable: VariableIndex) -> usize {
     let before = clique.structure.frontals.iter().take_while(|&&v| v != variable);
-    before.map(|&v| graph.dim_at(v as usize)).sum()
+    before.map(|&v| graph.dim_at(v)).sum()
 }
 
 /// δ kept between updates, and when each variable's last moved.
 ///
 /// A change of δ is passed down the tree while it is large; small ones add up where they stopped,
 /// and a fine pass takes them further.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(crate) struct State {
     /// By tangent range; within the finer tolerance of the exact solution after a fine pass.
     pub(crate) delta: Vec<f64>,
+    /// After an optimization the estimate is the point that it found, which is the linearization
+    /// point, and not the point moved by δ: where the optimization did not converge, the next
+    /// Gauss-Newton step would lead away from it.
+    pub(crate) is_at_points: bool,
     /// δ as of the last time when it changed by more than the coarser tolerance.
     coarse: Vec<f64>,
     /// By variable slot: the times when `delta` and `coarse` last changed.
@@ -206,9 +217,9 @@ pub(crate) struct State {
     clock: u64,
     /// Variables with a component of δ beyond the threshold of the passes so far, perhaps more
     /// than once or no longer; see [`State::moved_beyond`].
-    far: Vec<u32>,
+    pub(crate) far: Vec<VariableIndex>,
     seen: Vec<bool>,
-    stack: Vec<u32>,
+    stack: Vec<CliqueIndex>,
     scratch: Vec<f64>,
 }
 
@@ -224,6 +235,23 @@ pub(crate) struct Pass {
     pub(crate) threshold: f64,
 }
 
+impl Clone for State {
+    /// Without the buffers of a pass.
+    fn clone(&self) -> Self {
+        Self {
+            delta: self.delta.clone(),
+            is_at_points: self.is_at_points,
+            coarse: self.coarse.clone(),
+            changed: self.changed.clone(),
+            clock: self.clock,
+            far: self.far.clone(),
+            seen: Vec::new(),
+            stack: Vec::new(),
+            scratch: Vec::new(),
+        }
+    }
+}
+
 impl State {
     /// Makes room for the graph's variables.
     pub(crate) fn resize(&mut self, graph: &Graph) {
@@ -233,16 +261,24 @@ impl State {
     }
 
     /// Starts a variable at δ = 0.
-    pub(crate) fn reset(&mut self, graph: &Graph, variable: usize) {
+    pub(crate) fn reset(&mut self, graph: &Graph, variable: VariableIndex) {
         self.delta[graph.tangent_range(variable)].fill(0.0);
         self.coarse[graph.tangent_range(variable)].fill(0.0);
-        self.changed[variable] = (self.clock, self.clock);
+        self.changed[variable.index()] = (self.clock, self.clock);
     }
 
     /// A variable's point moved by its δ as of the last refresh.
-    pub(crate) fn moved(&self, graph: &Graph, variable: usize, point: &[f64], out: &mut [f64]) {
-        let delta = &self.delta[graph.tangent_range(variable)];
-        graph.kind_at(variable).retract(point, delta, out);
+    ///
+    /// # Errors
+    /// The manifold panics or gives a value that is not finite.
+    pub(crate) fn moved(
+        &self,
+        graph: &Graph,
+        variable: VariableIndex,
+        point: &[f64],
+        out: &mut [f64],
+    ) -> Result<(), GraphError> {
+        graph.retract(variable, point, &self.delta[graph.tangent_range(variable)], out)
     }
 
     /// Solves cliques that are new, or whose separator has moved since they were last solved; by
@@ -263,7 +299,7 @@ impl State {
             let clique = tree.clique(index);
             let (mut fine, mut coarse) = (false, false);
             for &v in &clique.structure.separator {
-                let changed = self.changed[v as usize];
+                let changed = self.changed[v.index()];
                 fine |= changed.0 > clique.solved;
                 coarse |= changed.1 > clique.solved;
             }
@@ -273,7 +309,7 @@ impl State {
             } else if !(pass.is_fine && clique.unfinished) {
                 // A fine pass has to come this way.
                 let parent = clique.parent;
-                if fine && parent != NONE {
+                if fine && let Some(parent) = parent.some() {
                     tree.mark_unfinished(parent);
                 }
                 continue;
@@ -290,19 +326,19 @@ impl State {
     fn solve(&mut self, instructions: Instructions, graph: &Graph, clique: &Clique, pass: Pass) {
         let mut scratch = std::mem::take(&mut self.scratch);
         solve_clique(instructions, clique, 0, &mut scratch, |v, out| {
-            copy_to_front(&self.delta[graph.tangent_range(v as usize)], out)
+            copy_to_front(&self.delta[graph.tangent_range(v)], out)
         });
         let mut at = 0;
         for &v in &clique.structure.frontals {
-            let range = graph.tangent_range(v as usize);
+            let range = graph.tangent_range(v);
             let new = &scratch[at..at + range.len()];
             at += range.len();
             if is_beyond(new, &self.delta[range.clone()], pass.fine) {
                 self.delta[range.clone()].copy_from_slice(new);
-                self.changed[v as usize].0 = self.clock;
+                self.changed[v.index()].0 = self.clock;
                 if is_beyond(new, &self.coarse[range.clone()], pass.coarse) {
                     self.coarse[range].copy_from_slice(new);
-                    self.changed[v as usize].1 = self.clock;
+                    self.changed[v.index()].1 = self.clock;
                 }
                 if new.iter().any(|x| x.abs() > pass.threshold) {
                     self.far.push(v);
@@ -310,6 +346,28 @@ impl State {
             }
         }
         self.scratch = scratch;
+    }
+
+    /// Feeds all of it but buffers to a hash; of variables, those that exist.
+    pub(crate) fn hash_state(&self, graph: &Graph, hash: &mut impl Hasher) {
+        let Self {
+            delta,
+            is_at_points,
+            coarse,
+            changed,
+            clock,
+            far,
+            seen: _,
+            stack: _,
+            scratch: _,
+        } = self;
+        (is_at_points, clock, far).hash(hash);
+        for v in graph.variable_indices() {
+            let range = graph.tangent_range(v);
+            let numbers = delta[range.clone()].iter().chain(&coarse[range]);
+            numbers.for_each(|x| hash.write_u64(x.to_bits()));
+            changed[v.index()].hash(hash);
+        }
     }
 
     /// If δ has a component beyond `threshold` anywhere: the variables with one beyond `reach`, in
@@ -321,98 +379,35 @@ impl State {
         threshold: f64,
         reach: f64,
         smallest: f64,
-    ) -> Vec<u32> {
+    ) -> Moved {
         let Self { far, seen, delta, .. } = self;
         seen.resize(graph.variable_slots(), false);
-        let beyond = |v: u32, limit: f64| {
-            graph.is_variable_at(v as usize)
-                && delta[graph.tangent_range(v as usize)].iter().any(|d| d.abs() > limit)
+        let delta_of = |v: VariableIndex| &delta[graph.tangent_range(v)];
+        let beyond = |v: VariableIndex, limit: f64| {
+            graph.is_variable_at(v) && delta_of(v).iter().any(|d| d.abs() > limit)
         };
-        far.retain(|&v| beyond(v, smallest) && !std::mem::replace(&mut seen[v as usize], true));
-        far.iter().for_each(|&v| seen[v as usize] = false);
-        match far.iter().any(|&v| beyond(v, threshold)) {
+        far.retain(|&v| beyond(v, smallest) && !std::mem::replace(&mut seen[v.index()], true));
+        far.iter().for_each(|&v| seen[v.index()] = false);
+        let components = far.iter().flat_map(|&v| delta_of(v).iter());
+        let largest = components.fold(0.0, |largest: f64, d| largest.max(d.abs()));
+        let variables = match far.iter().any(|&v| beyond(v, threshold)) {
             true => far.iter().copied().filter(|&v| beyond(v, reach)).collect(),
             false => Vec::new(),
-        }
+        };
+        Moved { variables, largest }
     }
+}
+
+/// The result of [`State::moved_beyond`].
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Moved {
+    /// The variables to relinearize.
+    pub(crate) variables: Vec<VariableIndex>,
+    /// Largest component of δ among those beyond the smallest threshold; 0 without any.
+    pub(crate) largest: f64,
 }
 
 /// Whether two vectors differ by more than `tolerance` anywhere.
 pub(crate) fn is_beyond(x: &[f64], y: &[f64], tolerance: f64) -> bool {
     x.iter().zip(y).any(|(x, y)| (x - y).abs() > tolerance)
-}
-
-#[cfg(test)]
-mod tests {
-    use evergraph_factors::{BetweenPose2, Prior};
-    use evergraph_model::{LieGroup, Noise, Pose2};
-    use rand::{RngExt, SeedableRng};
-    use rand_chacha::ChaCha8Rng;
-
-    use super::*;
-    use crate::{Relinearization, Settings, Smoother};
-
-    /// One beyond the threshold takes those along that are within reach; none takes nobody.
-    #[test]
-    fn one_beyond_the_threshold_takes_others_along() {
-        let mut smoother = Smoother::new(Settings::default()).unwrap();
-        let noise = Noise::isotropic(3, 0.1).unwrap();
-        let mut change = smoother.change();
-        for _ in 0..3 {
-            let pose = change.add_variable(&Pose2::identity());
-            change.add_factor(Prior::new(pose, Pose2::identity(), noise.clone()).unwrap());
-        }
-        smoother.apply(change).unwrap();
-        let Smoother { graph, solution, .. } = &mut smoother;
-        for (v, moved) in [(0, 0.3), (1, -0.15), (2, 0.05)] {
-            solution.delta[graph.tangent_range(v as usize).start] = moved;
-            solution.far.push(v);
-        }
-        let mut moved = |threshold, reach| solution.moved_beyond(graph, threshold, reach, 0.01);
-        assert_eq!(moved(0.25, 0.25), [0]);
-        assert_eq!(moved(0.25, 0.1), [0, 1]);
-        assert_eq!(moved(0.4, 0.1), [0; 0]);
-    }
-
-    /// After a fine pass δ is the exact one, whatever coarse passes have left.
-    #[test]
-    fn a_fine_pass_finds_all_small_changes() {
-        let mut rng = ChaCha8Rng::seed_from_u64(8);
-        let settings = Settings { relinearization: Relinearization::NEVER, ..Settings::default() };
-        let mut smoother = Smoother::new(settings).unwrap();
-        let noise = Noise::isotropic(3, 0.1).unwrap();
-        let mut change = smoother.change();
-        let mut poses = vec![change.add_variable(&Pose2::identity())];
-        let prior = Prior::new(poses[0], Pose2::identity(), noise.clone());
-        change.add_factor(prior.unwrap());
-        smoother.apply(change).unwrap();
-        for k in 1..400_usize {
-            let mut change = smoother.change();
-            let pose = change.add_variable(&Pose2::new(k as f64, 0.0, 0.0));
-            let mut tie = |from, length: f64| {
-                let measured = Pose2::new(
-                    length + rng.random_range(-0.2..0.2),
-                    rng.random_range(-0.2..0.2),
-                    0.0,
-                );
-                change.add_factor(BetweenPose2::new(from, pose, measured, noise.clone()).unwrap());
-            };
-            tie(poses[k - 1], 1.0);
-            if k % 3 == 0 {
-                tie(poses[k / 2], (k - k / 2) as f64);
-            }
-            poses.push(pose);
-            smoother.apply(change).unwrap();
-            let is_fine = k % 20 == 0;
-            let pass = Pass { fine: 1e-7, coarse: 0.05, is_fine, threshold: 1.0 };
-            let Smoother { graph, tree, solution, scratch, .. } = &mut smoother;
-            solution.refresh(scratch.instructions, graph, tree, pass);
-            if is_fine {
-                let exact = all(scratch.instructions, graph, tree);
-                let off = exact.iter().zip(&solution.delta).map(|(x, y)| (x - y).abs());
-                let off = off.fold(0.0, f64::max);
-                assert!(off < 1e-4, "step {k}: off by {off}");
-            }
-        }
-    }
 }

@@ -6,24 +6,23 @@
 use std::collections::BTreeSet;
 use std::hash::{Hash, Hasher};
 
-use evergraph_model::Graph;
+use evergraph_model::{FactorIndex, Graph, VariableIndex};
 use smallvec::SmallVec;
 
 use crate::dense::FrontLayout;
+use crate::index::CliqueIndex;
 use crate::pool::Pool;
 
-/// "No clique": of variables outside the tree, and the parent of roots.
-pub(crate) const NONE: u32 = u32::MAX;
-
-/// What a clique is made of. Variables and factors are slots of the graph.
+/// The variables and factors of a clique. Fixed variables are in none, and factors without unknowns
+/// neither.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Structure {
     /// In the order of elimination.
-    pub(crate) frontals: SmallVec<[u32; 4]>,
+    pub(crate) frontals: SmallVec<[VariableIndex; 4]>,
     /// In the order of elimination at the time the clique was built.
-    pub(crate) separator: SmallVec<[u32; 8]>,
+    pub(crate) separator: SmallVec<[VariableIndex; 8]>,
     /// Factors whose first-eliminated variable is a frontal of this clique.
-    pub(crate) factors: SmallVec<[u32; 8]>,
+    pub(crate) factors: SmallVec<[FactorIndex; 8]>,
     /// Scalars of the frontals.
     pub(crate) frontal_dim: u32,
     /// Scalars of the separator.
@@ -34,11 +33,11 @@ impl Structure {
     /// A clique that owns no factors yet.
     pub(crate) fn new(
         graph: &Graph,
-        frontals: SmallVec<[u32; 4]>,
-        separator: SmallVec<[u32; 8]>,
+        frontals: SmallVec<[VariableIndex; 4]>,
+        separator: SmallVec<[VariableIndex; 8]>,
     ) -> Self {
         let dim =
-            |variables: &[u32]| variables.iter().map(|&v| graph.dim_at(v as usize) as u32).sum();
+            |variables: &[VariableIndex]| variables.iter().map(|&v| graph.dim_at(v) as u32).sum();
         let (frontal_dim, separator_dim) = (dim(&frontals), dim(&separator));
         Self { frontals, separator, factors: SmallVec::new(), frontal_dim, separator_dim }
     }
@@ -56,7 +55,7 @@ impl Structure {
         0.06 * f * n * n + n * n + 400.0
     }
 
-    pub(crate) fn variables(&self) -> impl Iterator<Item = u32> {
+    pub(crate) fn variables(&self) -> impl Iterator<Item = VariableIndex> {
         self.frontals.iter().chain(&self.separator).copied()
     }
 }
@@ -81,7 +80,7 @@ pub(crate) struct Numeric {
 
 /// How a contribution, the information that a subtree passes on about its separator and right-hand
 /// side, is written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Form {
     /// Schur complement: the triangle of a front.
     Information,
@@ -146,6 +145,13 @@ impl Numeric {
         &self.data[self.data.len() - (self.layout.order() - 1)..]
     }
 
+    /// Feeds all numbers to a hash.
+    pub(crate) fn hash_state(&self, hash: &mut impl Hasher) {
+        let Self { layout, form, data, pivot_ratio, weakest } = self;
+        (layout, form, pivot_ratio.to_bits(), weakest.to_bits()).hash(hash);
+        data.iter().for_each(|x| hash.write_u64(x.to_bits()));
+    }
+
     /// Makes the numbers of a clique those of its first frontals alone, given these without their
     /// panel.
     pub(crate) fn shorten(&mut self, first: &Self) {
@@ -162,13 +168,13 @@ impl Numeric {
 pub(crate) struct Clique {
     pub(crate) structure: Structure,
     pub(crate) numeric: Numeric,
-    pub(crate) parent: u32,
-    pub(crate) children: SmallVec<[u32; 4]>,
+    pub(crate) parent: CliqueIndex,
+    pub(crate) children: SmallVec<[CliqueIndex; 4]>,
     /// When its frontals were last solved for; 0 is never. See [`crate::solve`].
     pub(crate) solved: u64,
-    /// When they were last solved for among the estimates that are kept; 0 is never. See
-    /// [`crate::kept`].
-    pub(crate) kept: u64,
+    /// When the estimates of its frontals were last brought up to date in the cache; 0 is never. See
+    /// [`crate::estimate_cache`].
+    pub(crate) cached: u64,
     /// Whether a pass of back-substitution stopped at a child, or somewhere below.
     pub(crate) unfinished: bool,
     /// Number of this clique among all that the tree ever had.
@@ -179,30 +185,31 @@ pub(crate) struct Clique {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Tree {
     cliques: Vec<Option<Clique>>,
-    free: Vec<u32>,
+    free: Vec<CliqueIndex>,
     /// By variable slot.
-    clique_of: Vec<u32>,
-    pub(crate) roots: BTreeSet<u32>,
+    clique_of: Vec<CliqueIndex>,
+    pub(crate) roots: BTreeSet<CliqueIndex>,
     births: u64,
 }
 
 impl Tree {
-    pub(crate) fn clique(&self, index: u32) -> &Clique {
-        self.cliques[index as usize].as_ref().expect("links of the tree lead to living cliques")
+    pub(crate) fn clique(&self, index: CliqueIndex) -> &Clique {
+        self.cliques[index.index()].as_ref().expect("links of the tree lead to living cliques")
     }
 
-    pub(crate) fn clique_mut(&mut self, index: u32) -> &mut Clique {
-        self.cliques[index as usize].as_mut().expect("links of the tree lead to living cliques")
+    pub(crate) fn clique_mut(&mut self, index: CliqueIndex) -> &mut Clique {
+        self.cliques[index.index()].as_mut().expect("links of the tree lead to living cliques")
     }
 
     /// The parent of a clique, unless it is a root.
-    pub(crate) fn parent_of(&self, index: u32) -> Option<u32> {
-        Some(self.clique(index).parent).filter(|&parent| parent != NONE)
+    pub(crate) fn parent_of(&self, index: CliqueIndex) -> Option<CliqueIndex> {
+        self.clique(index).parent.some()
     }
 
-    /// The clique that eliminates a variable, or [`NONE`].
-    pub(crate) fn clique_of(&self, variable: u32) -> u32 {
-        self.clique_of.get(variable as usize).copied().unwrap_or(NONE)
+    /// The clique that eliminates a variable; [`NONE`](CliqueIndex::NONE) for fixed variables.
+    #[inline]
+    pub(crate) fn clique_of(&self, variable: VariableIndex) -> CliqueIndex {
+        self.clique_of.get(variable.index()).copied().unwrap_or(CliqueIndex::NONE)
     }
 
     /// Length of the clique array, living or not.
@@ -215,55 +222,60 @@ impl Tree {
     }
 
     /// The living cliques, by slot.
-    pub(crate) fn indices(&self) -> impl Iterator<Item = u32> {
+    pub(crate) fn indices(&self) -> impl Iterator<Item = CliqueIndex> {
         let living = self.cliques.iter().enumerate().filter(|(_, clique)| clique.is_some());
-        living.map(|(index, _)| index as u32)
+        living.map(|(index, _)| CliqueIndex::new(index))
     }
 
     /// Whether a clique is still there, unchanged but for its numbers.
-    pub(crate) fn is_alive(&self, index: u32, birth: u64) -> bool {
-        self.cliques[index as usize].as_ref().is_some_and(|clique| clique.birth == birth)
+    pub(crate) fn is_alive(&self, index: CliqueIndex, birth: u64) -> bool {
+        self.cliques[index.index()].as_ref().is_some_and(|clique| clique.birth == birth)
     }
 
-    pub(crate) fn insert(&mut self, mut clique: Clique) -> u32 {
+    pub(crate) fn insert(&mut self, mut clique: Clique) -> CliqueIndex {
         self.births += 1;
         clique.birth = self.births;
         let index = match self.free.pop() {
             Some(index) => index,
             None => {
                 self.cliques.push(None);
-                (self.cliques.len() - 1) as u32
+                CliqueIndex::new(self.cliques.len() - 1)
             }
         };
         for &v in &clique.structure.frontals {
-            if self.clique_of.len() <= v as usize {
-                self.clique_of.resize(v as usize + 1, NONE);
+            if self.clique_of.len() <= v.index() {
+                self.clique_of.resize(v.index() + 1, CliqueIndex::NONE);
             }
-            self.clique_of[v as usize] = index;
+            self.clique_of[v.index()] = index;
         }
-        self.cliques[index as usize] = Some(clique);
+        self.cliques[index.index()] = Some(clique);
         index
     }
 
-    pub(crate) fn remove(&mut self, index: u32) -> Option<Clique> {
-        let clique = self.cliques[index as usize].take()?;
+    pub(crate) fn remove(&mut self, index: CliqueIndex) -> Option<Clique> {
+        let clique = self.cliques[index.index()].take()?;
         self.free.push(index);
         self.roots.remove(&index);
         for &v in &clique.structure.frontals {
-            self.clique_of[v as usize] = NONE;
+            self.clique_of[v.index()] = CliqueIndex::NONE;
         }
         Some(clique)
     }
 
     /// Gives a clique new numbers.
-    pub(crate) fn replace_numeric(&mut self, index: u32, numeric: Numeric, pool: &mut Pool) {
+    pub(crate) fn replace_numeric(
+        &mut self,
+        index: CliqueIndex,
+        numeric: Numeric,
+        pool: &mut Pool,
+    ) {
         let clique = self.clique_mut(index);
         pool.give(std::mem::replace(&mut clique.numeric, numeric).data);
-        (clique.solved, clique.kept) = (0, 0);
+        (clique.solved, clique.cached) = (0, 0);
     }
 
     /// Tells the children of a new clique that it is their parent.
-    pub(crate) fn adopt(&mut self, index: u32) {
+    pub(crate) fn adopt(&mut self, index: CliqueIndex) {
         for at in 0..self.clique(index).children.len() {
             let child = self.clique(index).children[at];
             self.clique_mut(child).parent = index;
@@ -272,8 +284,8 @@ impl Tree {
     }
 
     /// Remembers, in a clique and all above it, that a pass of back-substitution stopped there.
-    pub(crate) fn mark_unfinished(&mut self, mut index: u32) {
-        while index != NONE && !self.clique(index).unfinished {
+    pub(crate) fn mark_unfinished(&mut self, mut index: CliqueIndex) {
+        while index != CliqueIndex::NONE && !self.clique(index).unfinished {
             let clique = self.clique_mut(index);
             clique.unfinished = true;
             index = clique.parent;
@@ -281,7 +293,7 @@ impl Tree {
     }
 
     /// All cliques, parents before children, roots in their order.
-    pub(crate) fn top_down(&self) -> Vec<u32> {
+    pub(crate) fn top_down(&self) -> Vec<CliqueIndex> {
         let mut order = Vec::with_capacity(self.len());
         order.extend(self.roots.iter().copied());
         let mut next = 0;
@@ -293,10 +305,10 @@ impl Tree {
     }
 
     /// The path from a root down to `index`, both included.
-    pub(crate) fn path_to(&self, index: u32) -> Vec<u32> {
+    pub(crate) fn path_to(&self, index: CliqueIndex) -> Vec<CliqueIndex> {
         let mut path = vec![index];
         let mut current = self.clique(index).parent;
-        while current != NONE {
+        while current != CliqueIndex::NONE {
             path.push(current);
             current = self.clique(current).parent;
         }
@@ -316,16 +328,35 @@ impl Tree {
             .sum()
     }
 
-    /// Feeds structure and numbers to a hash.
+    /// Feeds structure and numbers to a hash; not when estimates were cached, on which no later
+    /// answer depends.
     pub(crate) fn hash_state(&self, hash: &mut impl Hasher) {
-        (&self.free, &self.roots, &self.clique_of).hash(hash);
-        for (index, clique) in self.cliques.iter().enumerate() {
+        let Self { cliques, free, clique_of, roots, births } = self;
+        (free, roots, clique_of, births).hash(hash);
+        for (index, clique) in cliques.iter().enumerate() {
             let Some(clique) = clique else { continue };
-            (index, clique.parent, clique.solved, clique.children.as_slice()).hash(hash);
-            let Structure { frontals, separator, factors, .. } = &clique.structure;
+            let Clique {
+                structure,
+                numeric,
+                parent,
+                children,
+                solved,
+                cached: _,
+                unfinished,
+                birth,
+            } = clique;
+            (index, parent, children.as_slice(), solved, unfinished, birth).hash(hash);
+            // The dimensions follow from the frontals and the separator.
+            let Structure { frontals, separator, factors, frontal_dim: _, separator_dim: _ } =
+                structure;
             (frontals.as_slice(), separator.as_slice(), factors.as_slice()).hash(hash);
-            clique.numeric.data.iter().for_each(|x| hash.write_u64(x.to_bits()));
+            numeric.hash_state(hash);
         }
+    }
+
+    /// Numbers in the buffers of all cliques.
+    pub(crate) fn numbers(&self) -> usize {
+        self.cliques.iter().flatten().map(|clique| clique.numeric.data.capacity()).sum()
     }
 
     /// Smallest pivot ratio of the whole factorization; infinite for an empty tree.

@@ -4,16 +4,17 @@ use std::collections::BTreeMap;
 
 use nalgebra::DMatrix;
 
-use crate::smoother::Smoother;
+use crate::factorization::Factorization;
+use crate::index::CliqueIndex;
 use crate::tree::Clique;
 
-/// What it takes to go through a clique with so many right-hand sides, in products.
+/// The cost of going through a clique with so many right-hand sides, in products.
 pub(super) fn cost_to_pass(clique: &Clique, columns: usize) -> f64 {
     let (f, n) = (clique.numeric.layout.frontal() as f64, clique.numeric.layout.columns() as f64);
     f * n * columns as f64
 }
 
-/// What it takes to make its covariance, likewise.
+/// The cost of computing its covariance, in products.
 pub(super) fn cost_to_make(clique: &Clique) -> f64 {
     let (f, n) = (clique.numeric.layout.frontal() as f64, clique.numeric.layout.columns() as f64);
     f * n * (n + f)
@@ -21,24 +22,24 @@ pub(super) fn cost_to_make(clique: &Clique) -> f64 {
 
 /// `Σ_SS` of a clique, out of the covariance of its parent.
 pub(super) fn separator_block(
-    smoother: &Smoother,
-    clique: u32,
-    parent: u32,
+    factorization: &Factorization,
+    clique: CliqueIndex,
+    parent: CliqueIndex,
     known: &DMatrix<f64>,
 ) -> DMatrix<f64> {
-    let Smoother { graph, tree, .. } = smoother;
+    let Factorization { graph, tree, .. } = factorization;
     let mut place = BTreeMap::new();
     let mut at = 0;
     for v in tree.clique(parent).structure.variables() {
         place.insert(v, at);
-        at += graph.dim_at(v as usize);
+        at += graph.dim_at(v);
     }
     let scalars: Vec<usize> = tree
         .clique(clique)
         .structure
         .separator
         .iter()
-        .flat_map(|v| place[v]..place[v] + graph.dim_at(*v as usize))
+        .flat_map(|v| place[v]..place[v] + graph.dim_at(*v))
         .collect();
     DMatrix::from_fn(scalars.len(), scalars.len(), |i, j| known[(scalars[i], scalars[j])])
 }

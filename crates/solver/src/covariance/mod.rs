@@ -27,12 +27,14 @@ mod substitution;
 
 use std::collections::BTreeMap;
 
-use evergraph_model::VariableId;
+use evergraph_model::{VariableId, VariableIndex};
 use nalgebra::DMatrix;
 
 use self::clique::{cost_to_make, cost_to_pass, from_separator, separator_block};
 use self::substitution::RightHandSide;
 use crate::error::SmootherError;
+use crate::factorization::Factorization;
+use crate::index::CliqueIndex;
 use crate::smoother::Smoother;
 
 /// Answers questions about covariances of one state of a smoother; what it has found out it keeps.
@@ -44,9 +46,9 @@ use crate::smoother::Smoother;
 pub struct Covariances<'a> {
     smoother: &'a Smoother,
     /// By clique: of its frontals and separator, in their order.
-    cliques: BTreeMap<u32, DMatrix<f64>>,
+    cliques: BTreeMap<CliqueIndex, DMatrix<f64>>,
     /// By clique: what questions have spent on going through it.
-    spent: BTreeMap<u32, f64>,
+    spent: BTreeMap<CliqueIndex, f64>,
 }
 
 impl Smoother {
@@ -59,16 +61,19 @@ impl Smoother {
     /// The marginal covariance of one variable: see [`Covariances::marginal`].
     ///
     /// # Errors
-    /// [`SmootherError::Graph`] for an id that is stale or foreign.
-    pub fn marginal(&self, variable: VariableId) -> Result<DMatrix<f64>, SmootherError> {
+    /// [`SmootherError::Graph`] for an id that is removed or foreign.
+    pub fn marginal(&self, variable: impl Into<VariableId>) -> Result<DMatrix<f64>, SmootherError> {
         self.covariances().marginal(variable)
     }
 
     /// The joint covariance of some variables: see [`Covariances::joint`].
     ///
     /// # Errors
-    /// [`SmootherError::Graph`] for an id that is stale or foreign.
-    pub fn joint(&self, variables: &[VariableId]) -> Result<DMatrix<f64>, SmootherError> {
+    /// [`SmootherError::Graph`] for an id that is removed or foreign.
+    pub fn joint(
+        &self,
+        variables: &[impl Into<VariableId> + Copy],
+    ) -> Result<DMatrix<f64>, SmootherError> {
         self.covariances().joint(variables)
     }
 }
@@ -82,29 +87,56 @@ impl Covariances<'_> {
     /// The marginal covariance of one variable, `dim × dim` in the order of its tangent.
     ///
     /// # Errors
-    /// [`SmootherError::Graph`] for an id that is stale or foreign.
-    pub fn marginal(&mut self, variable: VariableId) -> Result<DMatrix<f64>, SmootherError> {
-        self.joint(&[variable])
+    /// [`SmootherError::Graph`] for an id that is removed or foreign.
+    pub fn marginal(
+        &mut self,
+        variable: impl Into<VariableId>,
+    ) -> Result<DMatrix<f64>, SmootherError> {
+        self.joint(&[variable.into()])
     }
 
     /// The joint marginal covariance of some variables, in the order given, each in the order of
-    /// its tangent. Variables of different components do not correlate.
+    /// its tangent. Variables of different components do not correlate. Fixed variables are certain:
+    /// their rows and columns are zero.
     ///
     /// # Errors
-    /// [`SmootherError::Graph`] for an id that is stale or foreign.
-    pub fn joint(&mut self, variables: &[VariableId]) -> Result<DMatrix<f64>, SmootherError> {
-        let Smoother { graph, tree, .. } = self.smoother;
-        for &variable in variables {
-            graph.check_variable(variable)?;
+    /// [`SmootherError::Graph`] for an id that is removed or foreign.
+    pub fn joint(
+        &mut self,
+        variables: &[impl Into<VariableId> + Copy],
+    ) -> Result<DMatrix<f64>, SmootherError> {
+        let variables = self.smoother.indices(variables)?;
+        let graph = &self.smoother.factorization.graph;
+        let unknown = |v: &VariableIndex| !graph.is_fixed_at(*v);
+        if variables.iter().all(unknown) {
+            return Ok(self.joint_of_unknowns(&variables));
         }
-        let slots = || variables.iter().map(|id| id.index());
-        let paths: BTreeMap<u32, Vec<u32>> = slots()
-            .map(|v| tree.clique_of(v as u32))
+        let unknowns: Vec<VariableIndex> = variables.iter().copied().filter(unknown).collect();
+        let small = self.joint_of_unknowns(&unknowns);
+        // The row in the small matrix of each row that is not zero.
+        let mut next = 0;
+        let rows: Vec<Option<usize>> = variables
+            .iter()
+            .flat_map(|&v| std::iter::repeat_n(!graph.is_fixed_at(v), graph.dim_at(v)))
+            .map(|is_unknown| is_unknown.then(|| (next, next += 1).0))
+            .collect();
+        Ok(DMatrix::from_fn(rows.len(), rows.len(), |i, j| match (rows[i], rows[j]) {
+            (Some(i), Some(j)) => small[(i, j)],
+            _ => 0.0,
+        }))
+    }
+
+    /// [`joint`](Self::joint) of variables that are not fixed.
+    fn joint_of_unknowns(&mut self, variables: &[VariableIndex]) -> DMatrix<f64> {
+        let Factorization { graph, tree, .. } = &self.smoother.factorization;
+        let slots = || variables.iter().copied();
+        let paths: BTreeMap<CliqueIndex, Vec<CliqueIndex>> = slots()
+            .map(|v| tree.clique_of(v))
             .map(|clique| (clique, tree.path_to(clique)))
             .collect();
         let met = meeting_place(paths.values());
         // The cliques below it, children before parents.
-        let mut below: Vec<(usize, u32)> = paths
+        let mut below: Vec<(usize, CliqueIndex)> = paths
             .values()
             .flat_map(|path| path.iter().copied().enumerate().skip(met.map_or(0, |(at, _)| at + 1)))
             .collect();
@@ -113,48 +145,51 @@ impl Covariances<'_> {
 
         let columns = slots().map(|v| graph.dim_at(v)).sum();
         if columns == 0 {
-            return Ok(DMatrix::zeros(0, 0));
+            return DMatrix::zeros(0, 0);
         }
         let mut rhs = RightHandSide::new(columns);
         for &(_, clique) in &below {
-            rhs.add_rows(self.smoother, tree.clique(clique).structure.frontals.iter().copied());
+            rhs.add_rows(
+                &self.smoother.factorization,
+                tree.clique(clique).structure.frontals.iter().copied(),
+            );
         }
         if let Some((_, clique)) = met {
-            rhs.add_rows(self.smoother, tree.clique(clique).structure.variables());
+            rhs.add_rows(&self.smoother.factorization, tree.clique(clique).structure.variables());
         }
         let mut column = 0;
         for v in slots() {
-            let row = rhs.row_of(v as u32);
+            let row = rhs.row_of(v);
             for i in 0..graph.dim_at(v) {
                 rhs.row_mut(row + i)[column] = 1.0;
                 column += 1;
             }
         }
         for &(_, clique) in &below {
-            rhs.substitute(self.smoother, tree.clique(clique));
+            rhs.substitute(&self.smoother.factorization, tree.clique(clique));
         }
         let above = met.map(|(_, clique)| self.climb(clique, &mut rhs));
         let mut sum = rhs.gram();
         if let Some(above) = above.flatten() {
             sum += above;
         }
-        Ok(sum)
+        sum
     }
 
     /// From `clique` up to one whose covariance is known, or past the root. What the known one
     /// contributes.
-    fn climb(&mut self, clique: u32, rhs: &mut RightHandSide) -> Option<DMatrix<f64>> {
+    fn climb(&mut self, clique: CliqueIndex, rhs: &mut RightHandSide) -> Option<DMatrix<f64>> {
         self.learn(clique, rhs.columns());
-        let Smoother { tree, .. } = self.smoother;
+        let tree = &self.smoother.factorization.tree;
         let mut next = Some(clique);
         while let Some(current) = next {
             let passed = tree.clique(current);
-            rhs.add_rows(self.smoother, passed.structure.variables());
+            rhs.add_rows(&self.smoother.factorization, passed.structure.variables());
             if let Some(known) = self.cliques.get(&current) {
-                let left = rhs.at(self.smoother, passed);
+                let left = rhs.at(&self.smoother.factorization, passed);
                 return Some(left.tr_mul(&(known * &left)));
             }
-            rhs.substitute(self.smoother, passed);
+            rhs.substitute(&self.smoother.factorization, passed);
             next = tree.parent_of(current);
         }
         None
@@ -166,9 +201,9 @@ impl Covariances<'_> {
     /// So a single small question does not pay for the covariance of a large clique, of which it needs
     /// a few combinations, and many do not go through it again and again. A clique that has been paid
     /// for waits until its parent has.
-    fn learn(&mut self, clique: u32, columns: usize) {
-        let Smoother { tree, .. } = self.smoother;
-        let mut parent: Option<u32> = None;
+    fn learn(&mut self, clique: CliqueIndex, columns: usize) {
+        let tree = &self.smoother.factorization.tree;
+        let mut parent: Option<CliqueIndex> = None;
         let mut is_known = true;
         for current in tree.path_to(clique) {
             if !self.cliques.contains_key(&current) {
@@ -178,7 +213,12 @@ impl Covariances<'_> {
                 is_known &= *spent >= cost_to_make(passed);
                 if is_known {
                     let above = parent.map(|parent| {
-                        separator_block(self.smoother, current, parent, &self.cliques[&parent])
+                        separator_block(
+                            &self.smoother.factorization,
+                            current,
+                            parent,
+                            &self.cliques[&parent],
+                        )
                     });
                     self.cliques.insert(current, from_separator(passed, above));
                 }
@@ -189,7 +229,9 @@ impl Covariances<'_> {
 }
 
 /// The last clique that all paths from the root have in common, and its place on them.
-fn meeting_place<'a>(mut paths: impl Iterator<Item = &'a Vec<u32>>) -> Option<(usize, u32)> {
+fn meeting_place<'a>(
+    mut paths: impl Iterator<Item = &'a Vec<CliqueIndex>>,
+) -> Option<(usize, CliqueIndex)> {
     let mut common = paths.next()?.clone();
     for path in paths {
         let len = common.iter().zip(path).take_while(|(x, y)| x == y).count();
@@ -241,14 +283,13 @@ mod tests {
 
     /// `(JᵀJ)⁻¹` of everything, by a dense QR of J; scalars by tangent range.
     fn dense(smoother: &Smoother) -> DMatrix<f64> {
-        let graph = &smoother.graph;
+        let Factorization { graph, blocks, .. } = &smoother.factorization;
         let rows = graph.factor_indices().map(|f| graph.rows_at(f)).sum();
         let mut jacobian = DMatrix::zeros(rows, graph.tangent_len());
         let mut row = 0;
         for f in graph.factor_indices() {
-            let block = smoother.blocks.get(f).chunks_exact(graph.rows_at(f));
-            let scalars =
-                graph.variables_at(f).iter().flat_map(|&v| graph.tangent_range(v as usize));
+            let block = blocks.get(f).chunks_exact(graph.rows_at(f));
+            let scalars = graph.unknowns_at(f).iter().flat_map(|&v| graph.tangent_range(v));
             for (scalar, column) in scalars.zip(block) {
                 jacobian.view_mut((row, scalar), (column.len(), 1)).copy_from_slice(column);
             }
@@ -271,7 +312,11 @@ mod tests {
                         (0..count).map(|_| poses[rng.random_range(0..poses.len())]).collect();
                     let scalars: Vec<usize> = some
                         .iter()
-                        .flat_map(|id| smoother.graph.tangent_range(id.index()))
+                        .flat_map(|id| {
+                            smoother
+                                .graph()
+                                .tangent_range(smoother.graph().variable_index(*id).unwrap())
+                        })
                         .collect();
                     for found in [smoother.joint(&some).unwrap(), kept.joint(&some).unwrap()] {
                         assert_eq!(found.shape(), (scalars.len(), scalars.len()));
@@ -286,7 +331,7 @@ mod tests {
                     }
                 }
             }
-            assert_eq!(smoother.joint(&[]).unwrap().len(), 0);
+            assert_eq!(smoother.joint(&[] as &[VariableId]).unwrap().len(), 0);
         }
     }
 
@@ -304,9 +349,9 @@ mod tests {
                 kept.marginal(pose).unwrap();
             }
         }
-        let tree = &smoother.tree;
+        let tree = &smoother.factorization.tree;
         assert!(tree.roots.iter().all(|root| kept.cliques.contains_key(root)));
-        let is_closed = |clique: &u32| {
+        let is_closed = |clique: &CliqueIndex| {
             tree.parent_of(*clique).is_none_or(|parent| kept.cliques.contains_key(&parent))
         };
         assert!(kept.cliques.keys().all(is_closed));

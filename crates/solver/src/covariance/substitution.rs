@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use evergraph_model::VariableIndex;
 use nalgebra::DMatrix;
 
-use crate::smoother::Smoother;
+use crate::factorization::Factorization;
 use crate::tree::Clique;
 
 /// Several right-hand sides U on the variables of some cliques, a row per scalar, and the rows Y that
@@ -13,7 +14,7 @@ pub(super) struct RightHandSide {
     columns: usize,
     data: Vec<f64>,
     /// By variable slot: its first row.
-    row_of: BTreeMap<u32, usize>,
+    row_of: BTreeMap<VariableIndex, usize>,
     solved: Vec<f64>,
 }
 
@@ -27,19 +28,23 @@ impl RightHandSide {
     }
 
     /// Zeros for variables that have no rows yet.
-    pub(super) fn add_rows(&mut self, smoother: &Smoother, variables: impl Iterator<Item = u32>) {
+    pub(super) fn add_rows(
+        &mut self,
+        factorization: &Factorization,
+        variables: impl Iterator<Item = VariableIndex>,
+    ) {
         for v in variables {
             let end = self.data.len();
             let columns = self.columns;
             self.row_of.entry(v).or_insert_with(|| end / columns);
             if self.row_of[&v] * columns == end {
-                self.data.resize(end + smoother.graph.dim_at(v as usize) * columns, 0.0);
+                self.data.resize(end + factorization.graph.dim_at(v) * columns, 0.0);
             }
         }
     }
 
     /// The first row of a variable that has rows.
-    pub(super) fn row_of(&self, variable: u32) -> usize {
+    pub(super) fn row_of(&self, variable: VariableIndex) -> usize {
         self.row_of[&variable]
     }
 
@@ -48,8 +53,8 @@ impl RightHandSide {
     }
 
     /// `R_FFᵀ Y_F = U_F`, `U_S -= R_FSᵀ Y_F`, of a clique all of whose variables have rows.
-    pub(super) fn substitute(&mut self, smoother: &Smoother, clique: &Clique) {
-        let rows = self.rows_of(smoother, clique);
+    pub(super) fn substitute(&mut self, factorization: &Factorization, clique: &Clique) {
+        let rows = self.rows_of(factorization, clique);
         for j in 0..clique.numeric.layout.frontal() {
             let factor = clique.numeric.row(j);
             let start = self.solved.len();
@@ -72,15 +77,15 @@ impl RightHandSide {
     }
 
     /// What stands at the variables of a clique, in their order.
-    pub(super) fn at(&self, smoother: &Smoother, clique: &Clique) -> DMatrix<f64> {
-        let rows = self.rows_of(smoother, clique);
+    pub(super) fn at(&self, factorization: &Factorization, clique: &Clique) -> DMatrix<f64> {
+        let rows = self.rows_of(factorization, clique);
         DMatrix::from_fn(rows.len(), self.columns, |i, j| self.data[rows[i] * self.columns + j])
     }
 
-    fn rows_of(&self, smoother: &Smoother, clique: &Clique) -> Vec<usize> {
-        let rows = |v: u32| {
+    fn rows_of(&self, factorization: &Factorization, clique: &Clique) -> Vec<usize> {
+        let rows = |v: VariableIndex| {
             let first = self.row_of[&v];
-            first..first + smoother.graph.dim_at(v as usize)
+            first..first + factorization.graph.dim_at(v)
         };
         clique.structure.variables().flat_map(rows).collect()
     }

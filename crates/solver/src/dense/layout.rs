@@ -21,7 +21,7 @@ const NARROW: usize = 64;
 
 /// Shape of a front: `frontal` columns to eliminate and `order` others, the right-hand side the
 /// last of them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct FrontLayout {
     frontal: u32,
     order: u32,

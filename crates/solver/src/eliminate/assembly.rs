@@ -1,8 +1,9 @@
 //! Adding factors and contributions to a front.
 
+use evergraph_model::FactorIndex;
 use smallvec::SmallVec;
 
-use super::System;
+use super::system::System;
 use super::workspace::{Place, Run};
 use crate::tree::{Form, Numeric};
 
@@ -40,7 +41,7 @@ struct Block {
 #[inline(always)]
 pub(super) fn add_factor(
     system: &System<'_>,
-    factor: usize,
+    factor: FactorIndex,
     columns: usize,
     place: &[Place],
     front: &mut Assembly<'_>,
@@ -49,8 +50,8 @@ pub(super) fn add_factor(
     let data = system.block(factor);
     // The blocks as the front has them, first eliminated first; the right-hand side is the last.
     let mut blocks: SmallVec<[Block; 4]> = SmallVec::new();
-    for (&from, &v) in graph.columns_at(factor).iter().zip(graph.variables_at(factor)) {
-        let Place { start, dim } = place[v as usize];
+    for (&from, &v) in graph.columns_at(factor).iter().zip(graph.unknowns_at(factor)) {
+        let Place { start, dim } = place[v.index()];
         let block = Block { from: from as usize, to: start as usize, width: dim as usize };
         let at = blocks.iter().take_while(|other| other.to < block.to).count();
         blocks.insert(at, block);

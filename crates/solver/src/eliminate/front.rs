@@ -4,8 +4,8 @@
 use pulp::{Simd, WithSimd};
 
 use super::assembly::{Assembly, add_contribution, add_factor};
+use super::system::{CHOLESKY_PIVOT, CHOLESKY_PRODUCT, System};
 use super::workspace::Workspace;
-use super::{CHOLESKY_PIVOT, CHOLESKY_PRODUCT, System};
 use crate::dense::{BadPivot, PartialCholesky, PivotBound, SubtractOuter, partial_cholesky};
 use crate::profile::Phase;
 use crate::tree::{Form, Numeric, Structure};
@@ -84,8 +84,7 @@ impl WithSimd for Eliminate<'_> {
         workspace.locate_columns(layout, layout.panel_len());
         assemble(system, structure, children, 0, data, workspace);
         if let Some(damping) = system.damping {
-            let scalars =
-                structure.frontals.iter().flat_map(|&v| system.graph.tangent_range(v as usize));
+            let scalars = structure.frontals.iter().flat_map(|&v| system.graph.tangent_range(v));
             for (j, scalar) in scalars.enumerate() {
                 data[j * layout.rows() + j] += damping[scalar];
                 workspace.diagonal[j] += damping[scalar];
@@ -152,7 +151,7 @@ fn assemble(
             diagonal: &mut workspace.diagonal,
             first,
         };
-        add_factor(system, factor as usize, columns, &workspace.place, &mut target);
+        add_factor(system, factor, columns, &workspace.place, &mut target);
     }
     for (child, numeric) in children {
         workspace.map_child(child, columns);

@@ -4,7 +4,10 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use super::{Eliminated, Failure, Job, Range, System, Workspace};
+use super::job::{Eliminated, Failure, Job};
+use super::range::Range;
+use super::system::System;
+use super::workspace::Workspace;
 use crate::tree::Numeric;
 
 /// Jobs with less arithmetic than this (multiply-adds) stay on one thread: waking the others, and the
@@ -61,8 +64,8 @@ fn cut(system: &System<'_>, job: &Job) -> Vec<(usize, usize)> {
     }
     for (i, node) in job.nodes.iter().enumerate() {
         if let Some(parent) = node.parent {
-            first[parent as usize] = first[parent as usize].min(first[i]);
-            work[parent as usize] += work[i];
+            first[parent.index()] = first[parent.index()].min(first[i]);
+            work[parent.index()] += work[i];
         }
     }
     let total: f64 =
@@ -72,7 +75,7 @@ fn cut(system: &System<'_>, job: &Job) -> Vec<(usize, usize)> {
     }
     let small = |i: usize| work[i] <= total * SHARE;
     (0..job.nodes.len())
-        .filter(|&i| small(i) && job.nodes[i].parent.is_none_or(|p| !small(p as usize)))
+        .filter(|&i| small(i) && job.nodes[i].parent.is_none_or(|p| !small(p.index())))
         .map(|i| (first[i], i + 1))
         .collect()
 }

@@ -1,9 +1,12 @@
 //! One clique by QR: stack the whitened rows of its factors and its children's square-root
 //! contributions, triangularize, keep the rows below the frontal ones as the contribution.
 
-use super::{Failure, QR_PIVOT, QR_PRODUCT, System};
+use evergraph_model::{FactorIndex, VariableIndex};
+
+use super::job::Failure;
+use super::system::{QR_PIVOT, QR_PRODUCT, System};
+use super::workspace::{Run, Workspace};
 use crate::dense::triangularize;
-use crate::eliminate::workspace::{Run, Workspace};
 use crate::profile::Phase;
 use crate::tree::{Form, Numeric, Structure};
 
@@ -16,8 +19,7 @@ pub(super) fn eliminate(
 ) -> Result<Numeric, Failure> {
     let layout = structure.layout();
     let (n, frontal) = (layout.columns(), layout.frontal());
-    let factor_rows: usize =
-        structure.factors.iter().map(|&f| system.graph.rows_at(f as usize)).sum();
+    let factor_rows: usize = structure.factors.iter().map(|&f| system.graph.rows_at(f)).sum();
     let child_rows: usize = children.iter().map(|(_, numeric)| root(numeric).0).sum();
     let damping_rows = if system.damping.is_some() { frontal } else { 0 };
     let m = factor_rows + child_rows + damping_rows;
@@ -27,7 +29,7 @@ pub(super) fn eliminate(
 
     let mut row = 0;
     for &factor in &structure.factors {
-        row += place_factor(system, factor as usize, n, m, row, workspace);
+        row += place_factor(system, factor, n, m, row, workspace);
     }
     for (child, numeric) in children {
         workspace.map_child(child, n);
@@ -48,8 +50,7 @@ pub(super) fn eliminate(
         row += rows;
     }
     if let Some(damping) = system.damping {
-        let scalars =
-            structure.frontals.iter().flat_map(|&v| system.graph.tangent_range(v as usize));
+        let scalars = structure.frontals.iter().flat_map(|&v| system.graph.tangent_range(v));
         for (j, scalar) in scalars.enumerate() {
             workspace.square[j * m + row + j] = damping[scalar].sqrt();
             workspace.diagonal[j] += damping[scalar];
@@ -76,7 +77,7 @@ fn root(numeric: &Numeric) -> (usize, &[f64]) {
 /// diagonal; returns how many rows there are.
 fn place_factor(
     system: &System<'_>,
-    factor: usize,
+    factor: FactorIndex,
     n: usize,
     m: usize,
     row: usize,
@@ -85,8 +86,8 @@ fn place_factor(
     let graph = system.graph;
     let rows = graph.rows_at(factor);
     let mut source = system.block(factor).chunks_exact(rows);
-    let starts = graph.variables_at(factor).iter().flat_map(|&v| {
-        let place = workspace.place[v as usize];
+    let starts = graph.unknowns_at(factor).iter().flat_map(|&v| {
+        let place = workspace.place[v.index()];
         (place.start..place.start + place.dim).map(|column| column as usize)
     });
     for (column, data) in starts.chain(std::iter::once(n - 1)).zip(&mut source) {
@@ -146,10 +147,10 @@ fn collect(
 }
 
 /// The frontal variable that scalar column `j` belongs to.
-fn frontal_at(system: &System<'_>, structure: &Structure, j: usize) -> u32 {
+fn frontal_at(system: &System<'_>, structure: &Structure, j: usize) -> VariableIndex {
     let mut end = 0;
     for &v in &structure.frontals {
-        end += system.graph.dim_at(v as usize);
+        end += system.graph.dim_at(v);
         if j < end {
             return v;
         }

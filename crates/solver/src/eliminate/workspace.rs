@@ -1,6 +1,6 @@
 //! What eliminations on one thread share.
 
-use super::System;
+use super::system::System;
 use crate::dense::FrontLayout;
 use crate::pool::Pool;
 use crate::profile::Clock;
@@ -49,8 +49,8 @@ impl Workspace {
         }
         let mut start = 0;
         for v in structure.variables() {
-            let dim = system.graph.dim_at(v as usize) as u32;
-            self.place[v as usize] = Place { start, dim };
+            let dim = system.graph.dim_at(v) as u32;
+            self.place[v.index()] = Place { start, dim };
             start += dim;
         }
         self.diagonal.clear();
@@ -76,7 +76,7 @@ impl Workspace {
         self.runs.clear();
         let mut from = 0;
         let variables = child.separator.iter().map(|&v| {
-            let place = self.place[v as usize];
+            let place = self.place[v.index()];
             (place.start as usize, place.dim as usize)
         });
         for (to, len) in variables.chain(std::iter::once((columns - 1, 1))) {

@@ -4,7 +4,7 @@ use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::sparse::SymbolicSparseColMatRef;
 use faer::sparse::linalg::amd;
 
-use super::Groups;
+use super::groups::Groups;
 
 /// Orders `n` variables, `last` (if given) after all others: it is left out of the graph that AMD
 /// sees and appended.

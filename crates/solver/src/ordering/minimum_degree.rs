@@ -4,7 +4,8 @@
 //! word operations per neighbour, degrees are exact (approximate ones cost fill), and the symbolic
 //! structure falls out of the same pass.
 
-use super::{Elimination, Groups};
+use super::elimination::Elimination;
+use super::groups::Groups;
 
 const NONE: u32 = u32::MAX;
 

@@ -4,73 +4,13 @@
 //! update: appending to an old order keeps the fill of every order before it.
 
 mod amd;
+mod elimination;
+mod groups;
 mod minimum_degree;
 
+pub(crate) use elimination::Elimination;
+pub(crate) use groups::Groups;
 use minimum_degree::MinimumDegree;
-
-/// Sets of mutually adjacent variables, numbered locally from 0: the variables of a factor, or the
-/// separator of a subtree that is kept.
-#[derive(Debug, Default)]
-pub(crate) struct Groups {
-    members: Vec<u32>,
-    ends: Vec<usize>,
-}
-
-impl Groups {
-    pub(crate) fn clear(&mut self) {
-        self.members.clear();
-        self.ends.clear();
-    }
-
-    pub(crate) fn push(&mut self, group: impl IntoIterator<Item = u32>) {
-        self.members.extend(group);
-        self.ends.push(self.members.len());
-    }
-
-    fn iter(&self) -> impl Iterator<Item = &[u32]> {
-        (0..self.ends.len()).map(|g| {
-            let start = if g == 0 { 0 } else { self.ends[g - 1] };
-            &self.members[start..self.ends[g]]
-        })
-    }
-}
-
-/// An elimination order with its symbolic structure: what is left adjacent to each variable at
-/// the moment it is eliminated.
-#[derive(Debug, Default)]
-pub(crate) struct Elimination {
-    /// Local variables, first eliminated first.
-    pub(crate) order: Vec<u32>,
-    /// Inverse of `order`.
-    pub(crate) position: Vec<u32>,
-    ends: Vec<usize>,
-    members: Vec<u32>,
-}
-
-impl Elimination {
-    /// Empties it, for `n` variables.
-    fn start(&mut self, n: usize) {
-        self.order.clear();
-        self.position.clear();
-        self.position.resize(n, u32::MAX);
-        self.ends.clear();
-        self.members.clear();
-    }
-
-    /// Appends the next variable; `separator` is in no particular order.
-    fn push(&mut self, variable: u32, separator: impl IntoIterator<Item = u32>) {
-        self.position[variable as usize] = self.order.len() as u32;
-        self.order.push(variable);
-        self.members.extend(separator);
-        self.ends.push(self.members.len());
-    }
-
-    /// What is adjacent to the `k`-th variable when it is eliminated.
-    pub(crate) fn separator(&self, k: usize) -> &[u32] {
-        let start = if k == 0 { 0 } else { self.ends[k - 1] };
-        &self.members[start..self.ends[k]]
-    }
-}
 
 /// Largest problem for adjacency rows of bits, whose memory and time grow with the square.
 const BIT_ROWS: usize = 2048;

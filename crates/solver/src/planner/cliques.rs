@@ -1,25 +1,29 @@
 //! Order and symbolic structure: from what was gathered to the cliques to eliminate.
 
-use evergraph_model::Graph;
+use evergraph_model::{Graph, VariableIndex};
 use smallvec::SmallVec;
 
-use super::Planner;
+use super::gather::Planner;
 use super::marks::Mark;
-use crate::eliminate::{Child, Job, Node, NodeStructure};
+use crate::eliminate::{Child, Job, NodeStructure};
+use crate::index::{CliqueIndex, NodeIndex};
 use crate::profile::{Clock, Phase};
-use crate::tree::{NONE, Structure, Tree};
+use crate::tree::{Structure, Tree};
+
+/// The end of a list that is linked through an array.
+const END: u32 = u32::MAX;
 
 impl Planner {
-    /// Fills `job` with the cliques to eliminate. `last` is eliminated last if it is affected.
-    pub(crate) fn plan(
+    /// Fills an empty job with the cliques to eliminate. `last` is eliminated last if it is
+    /// affected.
+    pub(super) fn fill(
         &mut self,
         graph: &Graph,
         tree: &Tree,
-        last: u32,
+        last: Option<VariableIndex>,
         job: &mut Job,
         clock: &mut Clock,
     ) {
-        job.nodes.clear();
         for at in 0..self.roots.len() {
             self.push_in_place(tree, self.roots[at], job);
         }
@@ -32,17 +36,17 @@ impl Planner {
         self.hang(tree);
         let count = self.cliques.cliques.len();
         self.node_of.clear();
-        self.node_of.resize(count, NONE);
+        self.node_of.resize(count, NodeIndex::NONE);
         self.child_of.clear();
-        self.child_of.resize(count, NONE);
-        self.next_child.resize(count, NONE);
+        self.child_of.resize(count, END);
+        self.next_child.resize(count, END);
         for at in 0..count {
             self.push_new(graph, tree, self.cliques.postorder[at] as usize, job);
         }
         for at in 0..self.factors.len() {
             let factor = self.factors[at];
-            let first = self.first_clique(graph.variables_at(factor as usize).iter().copied());
-            let node = &mut job.nodes[self.node_of[first] as usize];
+            let first = self.first_clique(graph.unknowns_at(factor).iter().copied());
+            let node = &mut job.nodes[self.node_of[first].index()];
             if let NodeStructure::New(structure) = &mut node.structure {
                 structure.factors.push(factor);
             }
@@ -51,18 +55,18 @@ impl Planner {
     }
 
     /// Orders the affected variables.
-    fn order(&mut self, graph: &Graph, tree: &Tree, last: u32) {
+    fn order(&mut self, graph: &Graph, tree: &Tree, last: Option<VariableIndex>) {
         let Self { local, groups, .. } = self;
         if local.len() < graph.variable_slots() {
-            local.resize(graph.variable_slots(), NONE);
+            local.resize(graph.variable_slots(), END);
         }
         for (i, &v) in self.variables.iter().enumerate() {
-            local[v as usize] = i as u32;
+            local[v.index()] = i as u32;
         }
-        let number = |v: u32| local[v as usize];
+        let number = |v: VariableIndex| local[v.index()];
         groups.clear();
         for &factor in &self.factors {
-            groups.push(graph.variables_at(factor as usize).iter().map(|&v| number(v)));
+            groups.push(graph.unknowns_at(factor).iter().map(|&v| number(v)));
         }
         for &orphan in &self.orphans {
             groups.push(tree.clique(orphan).structure.separator.iter().map(|&v| number(v)));
@@ -71,15 +75,15 @@ impl Planner {
             groups.push(split.separator(tree).map(number));
         }
         // The newest variable has the highest local number unless it is an old one.
-        let last = self.variables.iter().rposition(|&v| v == last).map(|i| i as u32);
+        let last = self.variables.iter().rposition(|&v| Some(v) == last).map(|i| i as u32);
         self.orderer.order(self.variables.len(), groups, last);
     }
 
     /// Hangs each subtree that stays at the new clique of its separator's first variable.
     fn hang(&mut self, tree: &Tree) {
         self.subtree_of.clear();
-        self.subtree_of.resize(self.cliques.cliques.len(), NONE);
-        self.next_subtree.resize(self.orphans.len() + self.splits.len(), NONE);
+        self.subtree_of.resize(self.cliques.cliques.len(), END);
+        self.next_subtree.resize(self.orphans.len() + self.splits.len(), END);
         for subtree in (0..self.next_subtree.len()).rev() {
             let clique = match subtree.checked_sub(self.orphans.len()) {
                 None => {
@@ -94,9 +98,9 @@ impl Planner {
     }
 
     /// The new clique that eliminates the first of `variables`.
-    fn first_clique(&self, variables: impl Iterator<Item = u32>) -> usize {
+    fn first_clique(&self, variables: impl Iterator<Item = VariableIndex>) -> usize {
         let position = &self.orderer.elimination.position;
-        let locals = variables.map(|v| self.local[v as usize]);
+        let locals = variables.map(|v| self.local[v.index()]);
         let first = locals.min_by_key(|&l| position[l as usize]);
         let first = first.expect("factors and subtrees that hang have variables");
         self.cliques.clique_of[first as usize] as usize
@@ -106,12 +110,12 @@ impl Planner {
     fn push_new(&mut self, graph: &Graph, tree: &Tree, c: usize, job: &mut Job) {
         let mut children: SmallVec<[Child; 4]> = SmallVec::new();
         let mut child = self.child_of[c];
-        while child != NONE {
+        while child != END {
             children.push(Child::Node(self.node_of[child as usize]));
             child = self.next_child[child as usize];
         }
         let mut subtree = self.subtree_of[c];
-        while subtree != NONE {
+        while subtree != END {
             children.push(self.push_subtree(graph, tree, subtree as usize, job));
             subtree = self.next_subtree[subtree as usize];
         }
@@ -121,13 +125,13 @@ impl Planner {
         let last = elimination.position[clique.last as usize] as usize;
         let mut separator: SmallVec<[u32; 8]> = elimination.separator(last).into();
         separator.sort_unstable_by_key(|&l| elimination.position[l as usize]);
-        separator.iter_mut().for_each(|l| *l = slot(*l));
+        let separator = separator.iter().map(|&l| slot(l)).collect();
         let frontals = clique.frontals.iter().rev().map(|&l| slot(l)).collect();
         let structure = Structure::new(graph, frontals, separator);
         if let Some(parent) = clique.parent {
             self.next_child[c] = std::mem::replace(&mut self.child_of[parent as usize], c as u32);
         }
-        self.node_of[c] = push_node(NodeStructure::New(structure), children, job);
+        self.node_of[c] = job.push(NodeStructure::New(structure), children);
     }
 
     /// Adds the nodes of a subtree that stays; what its parent calls it.
@@ -135,7 +139,7 @@ impl Planner {
         let Some(at) = subtree.checked_sub(self.orphans.len()) else {
             let orphan = self.orphans[subtree];
             return match self.marks.get(orphan) {
-                Some(Mark::Ahead) => Child::Ahead(self.marks.place[orphan as usize]),
+                Some(Mark::Pending) => Child::Pending(self.marks.pending(orphan)),
                 Some(_) => Child::Node(self.push_in_place(tree, orphan, job)),
                 None => Child::Kept(orphan),
             };
@@ -145,40 +149,28 @@ impl Planner {
         let children = self.split_children[first..first + count].iter();
         let children = children.map(|&child| Child::Kept(child)).collect();
         let structure = split.structure(graph, tree);
-        let structure = NodeStructure::Prefix { clique: split.clique, split: at as u32, structure };
-        Child::Node(push_node(structure, children, job))
+        let structure = NodeStructure::Prefix { clique: split.clique, split: at, structure };
+        Child::Node(job.push(structure, children))
     }
 
     /// Adds the marked cliques of a subtree, to be eliminated again in place; the node of its root.
-    fn push_in_place(&mut self, tree: &Tree, root: u32, job: &mut Job) -> u32 {
+    fn push_in_place(&mut self, tree: &Tree, root: CliqueIndex, job: &mut Job) -> NodeIndex {
         self.collect_in_place(tree, root);
         let cliques = std::mem::take(&mut self.cliques_in_place);
-        let mut node = 0;
+        let mut node = NodeIndex::NONE;
         for &clique in &cliques {
             let children = tree.clique(clique).children.iter();
             let children = children
                 .map(|&child| match self.marks.get(child) {
-                    Some(Mark::Ahead) => Child::Ahead(self.marks.place[child as usize]),
-                    Some(_) => Child::Node(self.marks.place[child as usize]),
+                    Some(Mark::Pending) => Child::Pending(self.marks.pending(child)),
+                    Some(_) => Child::Node(self.marks.node(child)),
                     None => Child::Kept(child),
                 })
                 .collect();
-            node = push_node(NodeStructure::Existing(clique), children, job);
-            self.marks.place[clique as usize] = node;
+            node = job.push(NodeStructure::Existing(clique), children);
+            self.marks.set_node(clique, node);
         }
         self.cliques_in_place = cliques;
         node
     }
-}
-
-/// Adds a node, and tells its children.
-fn push_node(structure: NodeStructure, children: SmallVec<[Child; 4]>, job: &mut Job) -> u32 {
-    let node = job.nodes.len() as u32;
-    for child in &children {
-        if let Child::Node(child) = child {
-            job.nodes[*child as usize].parent = Some(node);
-        }
-    }
-    job.nodes.push(Node { structure, children, parent: None });
-    node
 }

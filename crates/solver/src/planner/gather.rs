@@ -1,17 +1,13 @@
-//! The steps of an update between checking a change and committing it: what to detach, what to
-//! gather, and the new cliques. All of it reads only.
+//! The part of the tree that an update changes.
 
-mod marks;
-mod plan;
+use evergraph_model::{FactorIndex, Graph, Staged, VariableIndex};
 
-use evergraph_model::{Graph, Staged};
-
+use super::marks::{Mark, Marks, first_of_child};
+use crate::index::{CliqueIndex, NodeIndex, PendingIndex};
 use crate::ordering::{Groups, Orderer};
-use crate::relinearize::Ahead;
+use crate::pending::Pending;
 use crate::symbolic::Cliques;
-use crate::tree::{Form, NONE, Structure, Tree};
-pub(crate) use marks::Mark;
-use marks::{Marks, first_of_child};
+use crate::tree::{Form, Structure, Tree};
 
 /// A clique whose first touched frontal is this one or a later one is split there, rather than
 /// taken apart whole.
@@ -19,110 +15,110 @@ const SHORTEST_PREFIX: usize = 2;
 
 /// A clique that is split: its first `frontals` frontals stay, with their part of R.
 #[derive(Clone, Copy, Debug)]
-struct Split {
-    clique: u32,
+pub(super) struct Split {
+    pub(super) clique: CliqueIndex,
     frontals: usize,
     /// First of its children among `split_children`, and how many.
-    children: (usize, usize),
+    pub(super) children: (usize, usize),
 }
 
-/// Finds out what an update takes apart, and how to put it together again.
+/// Finds out what an update takes apart, and how to put it together again. Its fields are buffers
+/// of one plan: every plan starts over.
 #[derive(Debug, Default)]
 pub(crate) struct Planner {
-    marks: Marks,
+    pub(super) marks: Marks,
     /// Cliques to take out, children before parents.
-    pub(crate) detached: Vec<u32>,
-    splits: Vec<Split>,
+    pub(super) detached: Vec<CliqueIndex>,
+    pub(super) splits: Vec<Split>,
     /// Children that the first frontals of split cliques keep.
-    split_children: Vec<u32>,
+    pub(super) split_children: Vec<CliqueIndex>,
     /// Subtrees that stay, as they are or with new numbers, below what is taken out.
-    pub(crate) orphans: Vec<u32>,
-    /// Cliques done ahead of time.
-    ahead: Vec<(u32, u32)>,
+    pub(super) orphans: Vec<CliqueIndex>,
+    /// Cliques that get pending numbers.
+    pub(super) pending: Vec<(PendingIndex, CliqueIndex)>,
     /// Roots that are eliminated again in place.
-    roots: Vec<u32>,
+    pub(super) roots: Vec<CliqueIndex>,
     /// Variables to eliminate again, in their old order of elimination, new ones at the end.
-    pub(crate) variables: Vec<u32>,
+    pub(super) variables: Vec<VariableIndex>,
     /// Factors to assemble again, and new ones.
-    factors: Vec<u32>,
+    pub(super) factors: Vec<FactorIndex>,
 
     /// By variable slot: position in `variables`.
-    local: Vec<u32>,
-    groups: Groups,
-    orderer: Orderer,
-    cliques: Cliques,
+    pub(super) local: Vec<u32>,
+    pub(super) groups: Groups,
+    pub(super) orderer: Orderer,
+    pub(super) cliques: Cliques,
     /// By new clique: its first subtree that stays, and the next one by subtree. Subtrees are the
     /// orphans, then the splits.
-    subtree_of: Vec<u32>,
-    next_subtree: Vec<u32>,
+    pub(super) subtree_of: Vec<u32>,
+    pub(super) next_subtree: Vec<u32>,
     /// By new clique: its first child among the new, the next of the same parent, its node.
-    child_of: Vec<u32>,
-    next_child: Vec<u32>,
-    node_of: Vec<u32>,
-    stack: Vec<u32>,
-    cliques_in_place: Vec<u32>,
+    pub(super) child_of: Vec<u32>,
+    pub(super) next_child: Vec<u32>,
+    pub(super) node_of: Vec<NodeIndex>,
+    stack: Vec<CliqueIndex>,
+    pub(super) cliques_in_place: Vec<CliqueIndex>,
 }
 
 impl Planner {
-    /// Marks what a staged change takes apart. `moved` are variables whose linearization point it
-    /// moves.
-    pub(crate) fn touch_change(
+    /// Marks the cliques that a staged change takes apart. `moved` are variables whose linearization
+    /// point moves.
+    pub(super) fn touch_change(
         &mut self,
         graph: &Graph,
         tree: &Tree,
         staged: &Staged,
-        moved: impl Iterator<Item = u32>,
+        moved: &[VariableIndex],
     ) {
         self.start(tree);
-        let new = staged.new_factors().map(|f| f as u32);
         let dropped = staged.dropped_factors().iter().copied();
-        let moved = moved.flat_map(|v| graph.factors_at(v as usize).iter().copied());
-        for factor in new.chain(dropped).chain(moved) {
+        let moved = moved.iter().flat_map(|&v| graph.factors_at(v).iter().copied());
+        let reshaped = staged.reshaped().iter().copied();
+        for factor in staged.new_factors().chain(dropped).chain(moved).chain(reshaped) {
             self.touch_factor(graph, tree, factor, Mark::Detached);
         }
-        for &variable in staged.dropped_variables() {
+        for &variable in staged.dropped_variables().iter().chain(staged.fixed()) {
             self.touch_separators(tree, variable);
         }
     }
 
-    /// Marks what taking over relinearized variables changes: cliques that were done ahead get
-    /// their numbers, the others are eliminated again in place.
-    pub(crate) fn touch_ahead(&mut self, graph: &Graph, tree: &Tree, ahead: &Ahead) {
-        for (place, clique) in ahead.done(tree) {
+    /// Marks the cliques that a pending relinearization changes: those with pending numbers, and
+    /// others, which are eliminated again in place.
+    pub(super) fn touch_pending(&mut self, graph: &Graph, tree: &Tree, pending: &Pending) {
+        for (place, clique) in pending.done(tree) {
             if self.marks.get(clique).is_none() {
-                self.marks.set_ahead(clique, place);
-                self.ahead.push((place, clique));
+                self.marks.set_pending(clique, place);
+                self.pending.push((place, clique));
             }
         }
-        let is_ahead = |marks: &Marks, clique| marks.get(clique) == Some(Mark::Ahead);
-        for &(_, clique) in &self.ahead {
-            let parent = tree.clique(clique).parent;
-            if parent == NONE || !is_ahead(&self.marks, parent) {
+        let is_pending = |marks: &Marks, clique| marks.get(clique) == Some(Mark::Pending);
+        for &(_, clique) in &self.pending {
+            if tree.parent_of(clique).is_none_or(|parent| !is_pending(&self.marks, parent)) {
                 self.marks.touch_above(tree, clique, Mark::InPlace);
             }
         }
-        for variable in ahead.variables(graph) {
-            let clique = tree.clique_of(variable);
-            if clique != NONE && !is_ahead(&self.marks, clique) {
+        for variable in pending.variables(graph) {
+            let clique = tree.clique_of(variable).some();
+            if clique.is_some_and(|clique| !is_pending(&self.marks, clique)) {
                 self.touch_variable(graph, tree, variable);
             }
         }
     }
 
-    fn touch_variable(&mut self, graph: &Graph, tree: &Tree, variable: u32) {
-        for &factor in graph.factors_at(variable as usize) {
+    fn touch_variable(&mut self, graph: &Graph, tree: &Tree, variable: VariableIndex) {
+        for &factor in graph.factors_at(variable) {
             self.touch_factor(graph, tree, factor, Mark::InPlace);
         }
     }
 
-    /// The cliques that relinearizing `variables` changes, children before parents, and what it
-    /// costs to eliminate them, in units of about a nanosecond.
+    /// The cliques that relinearizing `variables` changes, children before parents, and the cost of
+    /// eliminating them, in units of about a nanosecond.
     pub(crate) fn changed_by(
         &mut self,
         graph: &Graph,
         tree: &Tree,
-        variables: &[u32],
-    ) -> (&[u32], f64) {
+        variables: &[VariableIndex],
+    ) -> (&[CliqueIndex], f64) {
         self.start(tree);
         for &variable in variables {
             self.touch_variable(graph, tree, variable);
@@ -136,13 +132,8 @@ impl Planner {
         (&self.cliques_in_place, self.marks.cost)
     }
 
-    /// Cliques that get the numbers of an elimination ahead of time: places there, and slots.
-    pub(crate) fn ahead(&self) -> &[(u32, u32)] {
-        &self.ahead
-    }
-
-    /// Gathers what is marked, and what a staged change adds and drops.
-    pub(crate) fn gather_change(&mut self, graph: &Graph, tree: &Tree, staged: &Staged) {
+    /// Gathers the marked part, and what a staged change adds, drops, fixes and frees.
+    pub(super) fn gather_change(&mut self, graph: &Graph, tree: &Tree, staged: &Staged) {
         self.gather(graph, tree);
         if !staged.dropped_variables().is_empty() {
             self.variables.retain(|v| staged.dropped_variables().binary_search(v).is_err());
@@ -150,22 +141,29 @@ impl Planner {
         if !staged.dropped_factors().is_empty() {
             self.factors.retain(|f| staged.dropped_factors().binary_search(f).is_err());
         }
-        self.variables.extend(staged.new_variables().map(|v| v as u32));
-        self.factors.extend(staged.new_factors().map(|f| f as u32));
+        if !staged.fixed().is_empty() {
+            self.variables.retain(|&v| !graph.is_fixed_at(v));
+            self.factors.retain(|&f| !graph.unknowns_at(f).is_empty());
+        }
+        self.variables.extend(staged.new_variables().filter(|&v| !graph.is_fixed_at(v)));
+        self.variables.extend_from_slice(staged.freed());
+        self.factors.extend(staged.new_factors().filter(|&f| !graph.unknowns_at(f).is_empty()));
+        let enters = |f: FactorIndex| had_no_unknowns(graph, staged, f);
+        self.factors.extend(staged.reshaped().iter().copied().filter(|&f| enters(f)));
     }
 
-    /// Everything: detached, for a new order of the whole graph, or in place.
-    pub(crate) fn gather_all(&mut self, graph: &Graph, tree: &Tree, mark: Mark) {
+    /// Gathers everything: detached, for a new order of the whole graph, or in place.
+    pub(super) fn gather_all(&mut self, graph: &Graph, tree: &Tree, mark: Mark) {
         self.start(tree);
         self.marks.touch_all(tree, mark);
         self.gather(graph, tree);
     }
 
-    /// Everything in a graph, for an empty tree.
-    pub(crate) fn gather_graph(&mut self, graph: &Graph, tree: &Tree) {
+    /// Gathers everything in a graph, for an empty tree.
+    pub(super) fn gather_graph(&mut self, graph: &Graph, tree: &Tree) {
         self.start(tree);
-        self.variables.extend(graph.variable_indices().map(|v| v as u32));
-        self.factors.extend(graph.factor_indices().map(|f| f as u32));
+        self.variables.extend(graph.unknown_indices());
+        self.factors.extend(graph.factor_indices().filter(|&f| !graph.unknowns_at(f).is_empty()));
     }
 
     fn start(&mut self, tree: &Tree) {
@@ -174,25 +172,22 @@ impl Planner {
         self.splits.clear();
         self.split_children.clear();
         self.orphans.clear();
-        self.ahead.clear();
+        self.pending.clear();
         self.roots.clear();
         self.variables.clear();
         self.factors.clear();
     }
 
-    fn touch_factor(&mut self, graph: &Graph, tree: &Tree, factor: u32, mark: Mark) {
-        for &variable in graph.variables_at(factor as usize) {
+    fn touch_factor(&mut self, graph: &Graph, tree: &Tree, factor: FactorIndex, mark: Mark) {
+        for &variable in graph.variables_at(factor) {
             self.marks.touch(tree, variable, mark);
         }
     }
 
-    /// Marks the clique of a variable that is dropped, whole, and all that have it in their
+    /// Marks the clique of a variable that is dropped or fixed, whole, and all that have it in their
     /// separator: a clique may hold a variable that none of the factors below is on.
-    fn touch_separators(&mut self, tree: &Tree, variable: u32) {
-        let own = tree.clique_of(variable);
-        if own == NONE {
-            return;
-        }
+    fn touch_separators(&mut self, tree: &Tree, variable: VariableIndex) {
+        let Some(own) = tree.clique_of(variable).some() else { return };
         self.marks.touch(tree, tree.clique(own).structure.frontals[0], Mark::Detached);
         self.stack.clear();
         self.stack.push(own);
@@ -224,7 +219,7 @@ impl Planner {
             for &child in &tree.clique(clique).children {
                 match self.marks.get(child) {
                     Some(Mark::Detached) => stack.push(child),
-                    Some(Mark::InPlace | Mark::Ahead) => self.orphans.push(child),
+                    Some(Mark::InPlace | Mark::Pending) => self.orphans.push(child),
                     None if split > 0 && first_of_child(tree, clique, child) < split as u32 => {
                         self.split_children.push(child);
                     }
@@ -246,20 +241,15 @@ impl Planner {
                 self.factors.extend_from_slice(&structure.factors);
             } else {
                 let first = &structure.frontals[..split];
-                let stays = |f: &u32| !is_on(graph, *f, first);
+                let stays = |f: &FactorIndex| !is_on(graph, *f, first);
                 self.factors.extend(structure.factors.iter().copied().filter(stays));
             }
         }
     }
 
-    /// Detached cliques whose first frontals stay.
-    pub(crate) fn splits(&self) -> impl Iterator<Item = u32> {
-        self.splits.iter().map(|split| split.clique)
-    }
-
     /// The cliques below and at `root` that are eliminated again in place, children before
     /// parents, to `cliques_in_place`.
-    fn collect_in_place(&mut self, tree: &Tree, root: u32) {
+    pub(super) fn collect_in_place(&mut self, tree: &Tree, root: CliqueIndex) {
         // Depth first, parents before children; then the other way round.
         let Self { marks, stack, cliques_in_place: cliques, .. } = self;
         cliques.clear();
@@ -274,7 +264,7 @@ impl Planner {
     }
 
     /// How many of the first frontals of a detached clique stay.
-    fn split_at(&self, tree: &Tree, clique: u32) -> usize {
+    fn split_at(&self, tree: &Tree, clique: CliqueIndex) -> usize {
         let first = self.marks.first(clique);
         let splits =
             first >= SHORTEST_PREFIX && tree.clique(clique).numeric.form == Form::Information;
@@ -284,13 +274,13 @@ impl Planner {
 
 impl Split {
     /// The separator of what stays: the other frontals, and the clique's own separator.
-    fn separator(self, tree: &Tree) -> impl Iterator<Item = u32> {
+    pub(super) fn separator(self, tree: &Tree) -> impl Iterator<Item = VariableIndex> {
         let structure = &tree.clique(self.clique).structure;
         structure.frontals[self.frontals..].iter().chain(&structure.separator).copied()
     }
 
     /// What stays, with its factors.
-    fn structure(self, graph: &Graph, tree: &Tree) -> Structure {
+    pub(super) fn structure(self, graph: &Graph, tree: &Tree) -> Structure {
         let whole = &tree.clique(self.clique).structure;
         let frontals = &whole.frontals[..self.frontals];
         let mut structure = Structure::new(graph, frontals.into(), self.separator(tree).collect());
@@ -301,6 +291,13 @@ impl Split {
 }
 
 /// Whether a factor is on any of a few variables.
-fn is_on(graph: &Graph, factor: u32, variables: &[u32]) -> bool {
-    graph.variables_at(factor as usize).iter().any(|v| variables.contains(v))
+fn is_on(graph: &Graph, factor: FactorIndex, variables: &[VariableIndex]) -> bool {
+    graph.variables_at(factor).iter().any(|v| variables.contains(v))
+}
+
+/// Whether a factor whose unknowns changed had none before, and so belonged to no clique.
+fn had_no_unknowns(graph: &Graph, staged: &Staged, factor: FactorIndex) -> bool {
+    let is_new = |v: &VariableIndex| staged.freed().contains(v);
+    graph.unknowns_at(factor).iter().all(is_new)
+        && !graph.variables_at(factor).iter().any(|v| staged.fixed().contains(v))
 }

@@ -1,6 +1,9 @@
 //! Which cliques an update takes apart or eliminates again: sets that are closed towards the roots.
 
-use crate::tree::{NONE, Tree};
+use evergraph_model::VariableIndex;
+
+use crate::index::{CliqueIndex, NodeIndex, PendingIndex};
+use crate::tree::Tree;
 
 /// What happens to a clique.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -9,8 +12,8 @@ pub(crate) enum Mark {
     Detached,
     /// Eliminated again with new numbers, in place.
     InPlace,
-    /// Gets the numbers of an elimination ahead of time.
-    Ahead,
+    /// Gets the numbers of the pending relinearization.
+    Pending,
 }
 
 /// Marks by clique slot. Starting over costs nothing.
@@ -20,11 +23,13 @@ pub(crate) struct Marks {
     stamp: Vec<u64>,
     /// First frontal, as a position among the frontals, that is touched.
     first: Vec<u32>,
-    /// Free for use, while the clique is marked.
-    pub(super) place: Vec<u32>,
+    /// The node of a clique that is eliminated in place.
+    node: Vec<NodeIndex>,
+    /// The place of a clique with pending numbers.
+    pending: Vec<PendingIndex>,
     round: u64,
     /// Roots among the marked, in the order they were reached.
-    pub(super) roots: Vec<u32>,
+    pub(super) roots: Vec<CliqueIndex>,
     /// What it costs to eliminate the marked, in units of about a nanosecond.
     pub(super) cost: f64,
 }
@@ -38,55 +43,68 @@ impl Marks {
         if self.stamp.len() < tree.slots() {
             self.stamp.resize(tree.slots(), 0);
             self.first.resize(tree.slots(), 0);
-            self.place.resize(tree.slots(), NONE);
+            self.node.resize(tree.slots(), NodeIndex::NONE);
+            self.pending.resize(tree.slots(), PendingIndex::NONE);
         }
     }
 
-    pub(crate) fn get(&self, clique: u32) -> Option<Mark> {
-        match self.stamp[clique as usize].checked_sub(4 * self.round) {
+    pub(crate) fn get(&self, clique: CliqueIndex) -> Option<Mark> {
+        match self.stamp[clique.index()].checked_sub(4 * self.round) {
             None => None,
             Some(0) => Some(Mark::Detached),
             Some(1) => Some(Mark::InPlace),
-            Some(_) => Some(Mark::Ahead),
+            Some(_) => Some(Mark::Pending),
         }
     }
 
-    fn set(&mut self, clique: u32, mark: Mark) {
-        self.stamp[clique as usize] = 4 * self.round + mark as u64;
+    fn set(&mut self, clique: CliqueIndex, mark: Mark) {
+        self.stamp[clique.index()] = 4 * self.round + mark as u64;
     }
 
-    /// Marks an unmarked clique as done ahead; `place` is where.
-    pub(super) fn set_ahead(&mut self, clique: u32, place: u32) {
-        self.set(clique, Mark::Ahead);
-        self.place[clique as usize] = place;
+    /// Marks an unmarked clique as one whose new numbers are pending, at `place`.
+    pub(super) fn set_pending(&mut self, clique: CliqueIndex, place: PendingIndex) {
+        self.set(clique, Mark::Pending);
+        self.pending[clique.index()] = place;
+    }
+
+    /// The place of a clique with that mark.
+    pub(super) fn pending(&self, clique: CliqueIndex) -> PendingIndex {
+        self.pending[clique.index()]
+    }
+
+    /// Remembers the node of a clique that is eliminated in place.
+    pub(super) fn set_node(&mut self, clique: CliqueIndex, node: NodeIndex) {
+        self.node[clique.index()] = node;
+    }
+
+    /// The node of a clique for which it was [set](Self::set_node).
+    pub(super) fn node(&self, clique: CliqueIndex) -> NodeIndex {
+        self.node[clique.index()]
     }
 
     /// Marks the ancestors of a clique as [`touch`](Self::touch) does.
-    pub(super) fn touch_above(&mut self, tree: &Tree, clique: u32, mark: Mark) {
-        let parent = tree.clique(clique).parent;
-        if parent != NONE {
+    pub(super) fn touch_above(&mut self, tree: &Tree, clique: CliqueIndex, mark: Mark) {
+        if let Some(parent) = tree.parent_of(clique) {
             self.climb(tree, parent, first_of_child(tree, parent, clique), mark);
         }
     }
 
     /// Position of the first touched frontal of a marked clique.
-    pub(super) fn first(&self, clique: u32) -> usize {
-        self.first[clique as usize] as usize
+    pub(super) fn first(&self, clique: CliqueIndex) -> usize {
+        self.first[clique.index()] as usize
     }
 
     /// Marks the clique of a variable and all of its ancestors. What is marked already keeps its
     /// mark: detach first.
-    pub(super) fn touch(&mut self, tree: &Tree, variable: u32, mark: Mark) {
-        let clique = tree.clique_of(variable);
-        if clique == NONE {
-            return;
+    pub(super) fn touch(&mut self, tree: &Tree, variable: VariableIndex, mark: Mark) {
+        if let Some(clique) = tree.clique_of(variable).some() {
+            self.climb(tree, clique, position_of(tree, clique, variable), mark);
         }
-        self.climb(tree, clique, position_of(tree, clique, variable), mark);
     }
 
-    fn climb(&mut self, tree: &Tree, mut clique: u32, mut position: u32, mark: Mark) {
+    fn climb(&mut self, tree: &Tree, mut clique: CliqueIndex, mut position: u32, mark: Mark) {
         loop {
-            let slot = clique as usize;
+            let slot = clique.index();
             if self.get(clique).is_some() {
                 self.first[slot] = self.first[slot].min(position);
                 return;
@@ -94,11 +112,10 @@ impl Marks {
             self.set(clique, mark);
             self.first[slot] = position;
             self.cost += tree.clique(clique).structure.cost();
-            let parent = tree.clique(clique).parent;
-            if parent == NONE {
+            let Some(parent) = tree.parent_of(clique) else {
                 self.roots.push(clique);
                 return;
-            }
+            };
             // What the clique contributes changes all of its separator.
             position = first_of_child(tree, parent, clique);
             clique = parent;
@@ -109,20 +126,20 @@ impl Marks {
     pub(super) fn touch_all(&mut self, tree: &Tree, mark: Mark) {
         for clique in tree.indices() {
             self.set(clique, mark);
-            self.first[clique as usize] = 0;
+            self.first[clique.index()] = 0;
         }
         self.roots.extend(tree.roots.iter().copied());
     }
 }
 
 /// Position of a variable among the frontals of its clique.
-fn position_of(tree: &Tree, clique: u32, variable: u32) -> u32 {
+fn position_of(tree: &Tree, clique: CliqueIndex, variable: VariableIndex) -> u32 {
     let frontals = &tree.clique(clique).structure.frontals;
     frontals.iter().position(|&v| v == variable).unwrap_or(0) as u32
 }
 
 /// Position, among the frontals of a clique, of the first that is in a child's separator.
-pub(super) fn first_of_child(tree: &Tree, clique: u32, child: u32) -> u32 {
+pub(super) fn first_of_child(tree: &Tree, clique: CliqueIndex, child: CliqueIndex) -> u32 {
     let frontals = &tree.clique(clique).structure.frontals;
     if frontals.len() == 1 {
         return 0;

@@ -1,0 +1,3 @@
+//! Tests that look into a live smoother.
+
+mod solve;
