@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use evergraph::Replayer;
 use evergraph::formats::{Document, spell_id};
 use evergraph::solver::{BatchReport, BatchSettings, Settings, Status as BatchStatus};
-use evergraph::Replayer;
 use serde_json::json;
 use tracing::info;
 

@@ -69,6 +69,7 @@ mod bearing2;
 mod bearing3;
 mod between;
 pub mod catalogue;
+mod conditioned;
 mod cross;
 mod differences;
 mod error;
@@ -94,6 +95,7 @@ pub use bearing3::{Bearing3, BearingRange3};
 pub use between::{
     Between, BetweenPoint2, BetweenPoint3, BetweenPose2, BetweenPose3, BetweenRot2, BetweenRot3,
 };
+pub use conditioned::Conditioned;
 pub use differences::{
     DepthDifference, HeadingDifference, TranslationDifference2, TranslationDifference3,
 };

@@ -1,8 +1,5 @@
 //! One factor evaluated at values of the caller's choice, in a graph or not.
 
-use std::any::Any;
-use std::panic::{AssertUnwindSafe, catch_unwind};
-
 use nalgebra::{DMatrixView, DVectorView};
 use smallvec::SmallVec;
 use thiserror::Error;
@@ -10,6 +7,7 @@ use thiserror::Error;
 use crate::arguments::{Arguments, Linearization};
 use crate::factor::Factor;
 use crate::key::VariableId;
+use crate::user_code::{guarded, name_of};
 use crate::value::ValueRef;
 
 /// A factor that cannot be evaluated at some values.
@@ -98,7 +96,18 @@ impl LinearizedFactor {
         factor: &dyn Factor,
         values: &[ValueRef<'_>],
     ) -> Result<(), EvaluationError> {
-        check(factor, values)?;
+        let evaluated = guarded(|| {
+            check(factor, values)?;
+            self.evaluate(factor, values);
+            Ok(())
+        });
+        evaluated.unwrap_or_else(|message| {
+            let variables = guarded(|| factor.keys().to_vec()).unwrap_or_default();
+            Err(EvaluationError::Panicked { name: name_of(factor), variables, message })
+        })
+    }
+
+    fn evaluate(&mut self, factor: &dyn Factor, values: &[ValueRef<'_>]) {
         let rows = factor.residual_dim();
         let mut width = 0;
         self.columns.clear();
@@ -113,17 +122,9 @@ impl LinearizedFactor {
         self.data.resize(rows * (width + 1), 0.0);
         let storages: SmallVec<[&[f64]; 4]> = values.iter().map(ValueRef::storage).collect();
         let at = Arguments::new(&storages);
-        // What a panic leaves behind in the buffers is overwritten by the next call.
-        let evaluation = AssertUnwindSafe(|| {
-            factor.residual(&at, &mut self.residual);
-            self.error = factor.error(&self.residual);
-            factor.linearize(&at, &mut Linearization::new(rows, &self.columns, &mut self.data));
-        });
-        catch_unwind(evaluation).map_err(|payload| EvaluationError::Panicked {
-            name: factor.name(),
-            variables: factor.keys().to_vec(),
-            message: message(&*payload),
-        })
+        factor.residual(&at, &mut self.residual);
+        self.error = factor.error(&self.residual);
+        factor.linearize(&at, &mut Linearization::new(rows, &self.columns, &mut self.data));
     }
 
     /// Rows of the residual.
@@ -195,13 +196,6 @@ fn check(factor: &dyn Factor, values: &[ValueRef<'_>]) -> Result<(), EvaluationE
     Ok(())
 }
 
-/// The text that a panic was raised with.
-fn message(payload: &(dyn Any + Send)) -> String {
-    let text = payload.downcast_ref::<&str>().map(|text| (*text).to_string());
-    text.or_else(|| payload.downcast_ref::<String>().cloned())
-        .unwrap_or_else(|| "without a message".into())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -236,7 +230,7 @@ mod tests {
             out.block_mut(0).copy_from_slice(&[2.0, 0.0, 0.0, 2.0]);
             self.residual(at, out.residual_mut());
         }
-        fn as_any(&self) -> &dyn Any {
+        fn as_any(&self) -> &dyn std::any::Any {
             self
         }
     }

@@ -24,7 +24,7 @@ pub(crate) struct CovarianceRoot {
 impl CovarianceRoot {
     /// O(n³).
     pub(crate) fn of(target: &Target) -> Option<Self> {
-        let held: usize = target.held.iter().flatten().map(|&held| target.dim_of(held)).sum();
+        let held: usize = target.held().map(|held| target.dim_of(held)).sum();
         if target.rank() + held != target.dim() {
             return None;
         }

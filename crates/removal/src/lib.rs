@@ -52,6 +52,7 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
+mod condition;
 mod covariance;
 mod driver;
 mod error;

@@ -124,7 +124,7 @@ mod tests {
             root,
             pivots,
             scales,
-            held: [None; 2],
+            held: Vec::new(),
             explained: 0.0,
             free: 0,
         }

@@ -47,7 +47,7 @@ pub(crate) struct Overlay<'a> {
     estimates: &'a dyn Estimates,
     removed: BTreeSet<VariableId>,
     /// Slots of the graph's factors that are absorbed.
-    dropped: BTreeSet<usize>,
+    dropped: BTreeSet<FactorIndex>,
     /// New factors in the order in which they were planned.
     added: Vec<Added>,
     added_on: BTreeMap<VariableId, Vec<usize>>,
@@ -74,27 +74,26 @@ impl<'a> Overlay<'a> {
 
     /// The slot of a variable: orders that decide arithmetic are by slot, whatever the ids are.
     pub(crate) fn slot(&self, variable: VariableId) -> usize {
-        self.at(variable).index()
+        self.index(variable).index()
     }
 
-    /// The slot of a variable that was [checked](Self::check).
-    pub(crate) fn at(&self, variable: VariableId) -> VariableIndex {
-        self.graph
-            .variable_index(variable)
-            .expect("variables are checked before they are planned for")
+    fn index(&self, variable: VariableId) -> VariableIndex {
+        let index = self.graph.variable_index(variable);
+        index.expect("nodes are checked, and keys of living factors live")
     }
 
-    fn factor_at(&self, factor: FactorId) -> FactorIndex {
-        self.graph.factor_index(factor).expect("factors are those of the graph")
+    /// Whether a variable is fixed: given, so that it is neither marginalized nor in new factors.
+    pub(crate) fn is_fixed(&self, variable: VariableId) -> bool {
+        self.graph.is_fixed_at(self.index(variable))
     }
 
     /// Tangent dimensions of some variables.
     pub(crate) fn dims(&self, variables: &[VariableId]) -> Vec<usize> {
-        variables.iter().map(|id| self.graph.dim_at(self.at(*id))).collect()
+        variables.iter().map(|&id| self.graph.dim_at(self.index(id))).collect()
     }
 
     fn is_pose(&self, variable: VariableId) -> bool {
-        pose_of(self.graph.kind_at(self.at(variable))).is_some()
+        pose_of(self.graph.kind_at(self.index(variable))).is_some()
     }
 
     /// Refuses to take the last poses of a graph out. A pose of `blanket`, the variables beside the removed ones, is
@@ -155,16 +154,19 @@ impl<'a> Overlay<'a> {
                 if delta.iter().all(|x| x.is_finite() && x.abs() <= linear_within) {
                     return Ok(Member { id, value, delta: DVector::from_vec(delta) });
                 }
-                let mut estimate = value.storage().to_vec();
-                value.kind().retract(value.storage(), &delta, &mut estimate);
-                let estimate = self.graph.value(self.at(id), &estimate);
-                Ok(Member::at(id, self.checked(id, estimate)?))
+                let (index, mut estimate) = (self.index(id), value.storage().to_vec());
+                match self.graph.retract(index, value.storage(), &delta, &mut estimate) {
+                    // `checked` reports the numbers.
+                    Ok(()) | Err(GraphError::NonFiniteRetraction { .. }) => {}
+                    Err(error) => return Err(error.into()),
+                }
+                Ok(Member::at(id, self.checked(id, value.with_storage(&estimate))?))
             };
         variables.iter().zip(found).map(member).collect()
     }
 
     fn checked(&self, variable: VariableId, value: Value) -> Result<Value, RemovalError> {
-        let index = self.at(variable);
+        let index = self.index(variable);
         let fits = value.kind() == self.graph.kind_at(index)
             && value.dim() == self.graph.dim_at(index)
             && value.storage().len() == self.graph.value_range(index).len();
@@ -184,8 +186,8 @@ impl<'a> Overlay<'a> {
         &self,
         variable: VariableId,
     ) -> impl Iterator<Item = (Source, &dyn Factor)> {
-        let old = self.graph.factors_at(self.at(variable)).iter().filter_map(|&f| {
-            let stays = !self.dropped.contains(&f.index());
+        let old = self.graph.factors_at(self.index(variable)).iter().filter_map(|&f| {
+            let stays = !self.dropped.contains(&f);
             stays.then(|| (Source::Graph(self.graph.factor_id(f)), self.graph.factor_at(f)))
         });
         let new = self.added_on.get(&variable).into_iter().flatten();
@@ -198,7 +200,7 @@ impl<'a> Overlay<'a> {
         let mut seen: BTreeSet<VariableId> = start.iter().copied().collect();
         let mut queue = start.to_vec();
         while let Some(variable) = queue.pop() {
-            for &factor in self.graph.factors_at(self.at(variable)) {
+            for &factor in self.graph.factors_at(self.index(variable)) {
                 for &key in self.graph.factor_at(factor).keys() {
                     if seen.insert(key) {
                         if !self.removed.contains(&key) {
@@ -212,12 +214,21 @@ impl<'a> Overlay<'a> {
         false
     }
 
+    /// [`factor`](Self::factor), shared.
+    pub(crate) fn shared_factor(&self, source: Source) -> Option<Arc<dyn Factor>> {
+        self.factor(source)?;
+        match source {
+            Source::Graph(id) => self.graph.factor(id).ok().cloned(),
+            Source::Planned(k) => self.added.get(k).map(|added| Arc::clone(&added.factor)),
+        }
+    }
+
     /// The factor, unless a step has taken it out.
     pub(crate) fn factor(&self, source: Source) -> Option<&dyn Factor> {
         match source {
             Source::Graph(id) => {
-                let factor = self.graph.factor(id).ok()?;
-                (!self.dropped.contains(&self.factor_at(id).index())).then_some(&**factor)
+                let index = self.graph.factor_index(id).ok()?;
+                (!self.dropped.contains(&index)).then(|| self.graph.factor_at(index))
             }
             Source::Planned(k) => {
                 self.added.get(k).filter(|added| !added.is_absorbed).map(|added| &*added.factor)
@@ -236,7 +247,7 @@ impl<'a> Overlay<'a> {
         for source in dropped {
             match source {
                 Source::Graph(id) => {
-                    self.dropped.insert(self.factor_at(id).index());
+                    self.dropped.extend(self.graph.factor_index(id));
                 }
                 Source::Planned(k) => {
                     self.added[k].is_absorbed = true;
@@ -264,7 +275,7 @@ impl<'a> Overlay<'a> {
 
     /// The graph's factors that are absorbed, by slot.
     pub(crate) fn dropped(&self) -> impl Iterator<Item = FactorId> {
-        self.dropped.iter().map(|&slot| self.graph.factor_id(FactorIndex::new(slot)))
+        self.dropped.iter().map(|&factor| self.graph.factor_id(factor))
     }
 
     /// All factors that steps have planned, in that order.

@@ -29,7 +29,7 @@ impl Potential {
     pub(crate) fn dense(target: &Target) -> Vec<Self> {
         // The first pose is the root of a root shift; a held one, whose column then vanishes, is
         // that already.
-        let root = (target.held.iter().flatten().copied().next()).or_else(|| {
+        let root = target.held().next().or_else(|| {
             let is_pose = |m: &crate::member::Member| pose_of(m.value.kind()).is_some();
             target.members.iter().position(is_pose)
         });
@@ -233,7 +233,7 @@ impl Sum {
         // Every vector of null(Λ_t) is in the null space of each marginal, so null(Λ') contains it;
         // the two are equal when the ranks are. Columns of held poses depend on the others.
         let mut root = rows.clone();
-        for &held in target.held.iter().flatten() {
+        for held in target.held() {
             root.columns_range_mut(target.columns(held)).fill(0.0);
         }
         let pivots = echelon(&mut root, target.dim(), &target.scales);

@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
+use crate::condition::{Conditioning, condition};
 use crate::covariance::CovarianceRoot;
 use crate::error::{MakeError, RemovalError};
 use crate::member::Member;
@@ -21,6 +22,7 @@ use crate::topology::Tree;
 /// Why a step did not take the form that was asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Fallback {
     /// Relative factors on the tree would have left a direction free that the removed factors
     /// hold; generic linear constraints on the same tree do not.
@@ -35,6 +37,7 @@ pub enum Fallback {
 
 /// A factor that a step adds.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct NewFactor {
     /// [`Factor::name`].
     pub name: String,
@@ -46,13 +49,20 @@ pub struct NewFactor {
     pub linear: bool,
 }
 
+impl NewFactor {
+    fn of(factor: &dyn Factor, linear: bool) -> Self {
+        let (name, variables) = (factor.name(), factor.keys().to_vec());
+        Self { name, variables, rows: factor.residual_dim(), linear }
+    }
+}
+
 /// What one removal does. Later steps of a plan may absorb the factors of earlier ones.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Step {
     /// The node, or a connected group of them.
     pub removed: Vec<VariableId>,
-    /// The Markov blanket, by id.
+    /// The Markov blanket, by slot. Fixed variables are given and not part of it.
     pub blanket: Vec<VariableId>,
     /// The factors that are replaced (`Z_m`).
     pub absorbed: Vec<Source>,
@@ -66,7 +76,7 @@ pub struct Step {
     pub topology: Topology,
     /// Why it, or the kind of factors, is not what was asked for.
     pub fallback: Option<Fallback>,
-    /// Rank of the target information.
+    /// Rank of the target information; 0 for a fixed node, whose factors stay with its value put in.
     pub rank: usize,
     /// Directions of the removed nodes that no factor determined.
     pub free_directions: usize,
@@ -88,13 +98,13 @@ pub struct Step {
 pub(crate) struct Draft {
     pub(crate) step: Step,
     pub(crate) factors: Vec<Arc<dyn Factor>>,
-    /// `R_t` in the columns of the blanket.
+    /// `R_t` in the columns of the blanket. Without columns where nothing changes for the blanket.
     pub(crate) before: DMatrix<f64>,
     /// The new factors' rows, likewise.
     pub(crate) after: DMatrix<f64>,
     /// What the gradient `-Σ Jᵀ r` changes by.
     pub(crate) gradient: DVector<f64>,
-    /// The blanket as it was seen.
+    /// The blanket and the fixed variables as they were read.
     pub(crate) seen: Vec<Member>,
 }
 
@@ -119,6 +129,11 @@ impl Draft {
         removed: &[VariableId],
         options: &Options,
     ) -> Result<Self, RemovalError> {
+        if let &[node] = removed
+            && overlay.is_fixed(node)
+        {
+            return Ok(Self::conditioned(node, condition(overlay, node)?, options));
+        }
         // What is lost on purpose, or composed, is what is on the node.
         let intra_clique = options.intra_clique && options.recovery != Recovery::Drop;
         let mut neighborhood = Neighborhood::of(overlay, removed, options, intra_clique)?;
@@ -146,6 +161,36 @@ impl Draft {
         Ok(Self::assemble(&neighborhood, target, replacement))
     }
 
+    /// The removal of a fixed node: exact, whatever the options.
+    fn conditioned(node: VariableId, conditioning: Conditioning, options: &Options) -> Self {
+        let Conditioning { blanket, absorbed, factors, constant, constant_rows } = conditioning;
+        let step = Step {
+            removed: vec![node],
+            blanket,
+            absorbed,
+            rejected: Vec::new(),
+            first_new: 0,
+            added: factors.iter().map(|factor| NewFactor::of(&**factor, false)).collect(),
+            topology: options.topology,
+            fallback: None,
+            rank: 0,
+            free_directions: 0,
+            price: None,
+            constant,
+            degrees_of_freedom: constant_rows as i64,
+            largest_rotation: 0.0,
+            largest_length: 0.0,
+        };
+        Self {
+            step,
+            factors,
+            before: DMatrix::zeros(0, 0),
+            after: DMatrix::zeros(0, 0),
+            gradient: DVector::zeros(0),
+            seen: Vec::new(),
+        }
+    }
+
     fn assemble(neighborhood: &Neighborhood, target: Target, replacement: Replacement) -> Self {
         let Replacement { made, rows, rhs, .. } = replacement;
         let sources = |reads: &[Read]| reads.iter().map(|read| read.source).collect::<Vec<_>>();
@@ -168,15 +213,7 @@ impl Draft {
             absorbed: sources(&neighborhood.factors),
             rejected: sources(&neighborhood.rejected),
             first_new: 0,
-            added: made
-                .iter()
-                .map(|m| NewFactor {
-                    name: m.factor.name(),
-                    variables: m.factor.keys().to_vec(),
-                    rows: m.factor.residual_dim(),
-                    linear: m.linear,
-                })
-                .collect(),
+            added: made.iter().map(|m| NewFactor::of(&*m.factor, m.linear)).collect(),
             topology: replacement.topology,
             fallback: replacement.fallback,
             rank: target.rank(),
@@ -189,7 +226,9 @@ impl Draft {
         };
         let gradient = rows.tr_mul(&rhs) - target.gradient();
         let factors = made.into_iter().map(|m| m.factor).collect();
-        Self { step, factors, before: target.root, after: rows, gradient, seen: target.members }
+        let mut seen = target.members;
+        seen.extend(neighborhood.fixed.iter().cloned());
+        Self { step, factors, before: target.root, after: rows, gradient, seen }
     }
 }
 

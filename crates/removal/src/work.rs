@@ -60,7 +60,14 @@ pub(crate) fn remove_all<'w>(
         last: None,
     };
     if is_exact {
-        for group in groups(work.overlay, nodes) {
+        // Factors of fixed nodes stay, with the nodes' values put in.
+        let (fixed, others): (Vec<VariableId>, Vec<VariableId>) =
+            nodes.iter().partition(|&&node| work.overlay.is_fixed(node));
+        for node in fixed {
+            let draft = work.draft(&[node])?;
+            work.take(draft)?;
+        }
+        for group in groups(work.overlay, &others) {
             let draft = work.draft(&group)?;
             work.take(draft)?;
         }
@@ -107,8 +114,8 @@ impl Work<'_, '_> {
     /// Plans a step, and prices it if there is a covariance.
     fn draft(&mut self, removed: &[VariableId]) -> Result<Draft, RemovalError> {
         let mut draft = Draft::of(self.overlay, removed, self.options)?;
-        if draft.step.blanket.is_empty() {
-            // No kept variable depends on it.
+        if draft.before.ncols() == 0 {
+            // Nothing changes for a kept variable.
             draft.step.price = self.covariance.as_ref().map(|_| 0.0);
         } else if let Some(covariance) = self.covariance.as_deref_mut() {
             let blanket = &draft.step.blanket;
@@ -130,7 +137,7 @@ impl Work<'_, '_> {
         self.seen.extend(seen.into_iter().map(|member| (member.id, member)));
         let dropped = step.absorbed.iter().chain(&step.rejected).copied();
         step.first_new = self.overlay.apply(&step.removed, dropped, &factors);
-        if self.covariance.is_some() {
+        if self.covariance.is_some() && before.ncols() > 0 {
             let dims = self.overlay.dims(&step.blanket);
             self.ledger.note(step.blanket.clone(), dims, before, after);
         }

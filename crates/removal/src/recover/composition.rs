@@ -72,15 +72,12 @@ struct Edge<G, const N: usize> {
 /// A full relative pose of regular information, as the robust weight leaves it.
 fn edge<G: LieGroup<N>, const N: usize>(factor: &dyn Factor, read: &Read) -> Option<Edge<G, N>> {
     let (between, _) = factor.downcast::<Between<G, N>>()?;
+    // One end is fixed otherwise.
+    let &[from, to] = &read.members[..] else { return None };
     let root = between.noise().fixed::<N>()?;
     let information = read.weight * root.tr_mul(&root);
     information.cholesky()?;
-    Some(Edge {
-        from: read.members[0],
-        to: read.members[1],
-        z: *between.measurement(),
-        information,
-    })
+    Some(Edge { from, to, z: *between.measurement(), information })
 }
 
 impl<G: LieGroup<N>, const N: usize> Edge<G, N> {
