@@ -145,7 +145,7 @@ fn try_one(
     };
     let candidates = &shuffled(nodes, variant.seed)[..pool];
     let options = match variant.topology {
-        Topology::Dense => Options { largest_blanket: LARGEST_DENSE, ..Options::dense() },
+        Topology::Dense => Options::dense().with_largest_blanket(LARGEST_DENSE),
         Topology::ChowLiu => Options::default(),
     };
     let rules = Rules { order: variant.order, at_most: count, options, spared, prices: false };

@@ -59,9 +59,9 @@ fn removal_at_the_optimum_moves_nothing() {
         (Options::default(), 0.9),
         (Options::dense(), 0.1),
         (Options::dense(), 0.5),
-        (Options { recovery: Recovery::Nonlinear, ..Options::default() }, 0.1),
-        (Options { recovery: Recovery::Nonlinear, ..Options::default() }, 0.5),
-        (Options { recovery: Recovery::Nonlinear, ..Options::default() }, 0.9),
+        (Options::default().with_recovery(Recovery::Nonlinear), 0.1),
+        (Options::default().with_recovery(Recovery::Nonlinear), 0.5),
+        (Options::default().with_recovery(Recovery::Nonlinear), 0.9),
     ] {
         let mut reduced = full.clone();
         let nodes = &poses[..(share * poses.len() as f64) as usize];
@@ -77,7 +77,7 @@ fn removal_at_the_optimum_moves_nothing() {
 fn the_papers_offset_shifts_the_map() {
     let Some((full, poses)) = optimum("the_papers_offset_shifts_the_map") else { return };
     let mut reduced = full.clone();
-    let options = Options { offset: Offset::Zero, ..Options::dense() };
+    let options = Options::dense().with_offset(Offset::Zero);
     remove(&mut reduced, &poses[..poses.len() / 10], options);
     let (rms, _) = shift(&full, &reduced);
     assert!((0.05..1.0).contains(&rms), "{rms}");

@@ -206,11 +206,11 @@ fn larger(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
 
 /// The forms that an exact removal can take.
 fn exact() -> [Options; 3] {
-    let dense = Options { least_weight: 0.0, ..Options::dense() };
+    let dense = Options::dense().with_least_weight(0.0);
     [
         dense,
-        Options { root_shift: RootShift::None, ..dense },
-        Options { recovery: Recovery::Nonlinear, intra_clique: false, ..dense },
+        dense.with_root_shift(RootShift::None),
+        dense.with_recovery(Recovery::Nonlinear).with_intra_clique(false),
     ]
 }
 

@@ -156,7 +156,7 @@ fn damped_trees_lose_little_more_anywhere() {
     ] {
         let Some(full) = Full::read("damped_trees_lose_little_more_anywhere", file) else { return };
         let loss = |mutual_information| {
-            let options = Options { mutual_information, ..Options::default() };
+            let options = Options::default().with_mutual_information(mutual_information);
             full.loss(&full.thinned(percent, order, options, false).0)
         };
         let ratio = loss(MutualInformation::Damped) / loss(MutualInformation::Limit);

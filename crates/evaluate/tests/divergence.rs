@@ -148,10 +148,7 @@ proptest! {
         let mut gone: Vec<VariableId> = gone.into_iter().map(|k| ids[k]).collect();
         gone.sort_unstable();
         gone.dedup();
-        let options = Options {
-            topology: if tree { Topology::ChowLiu } else { Topology::Dense },
-            ..if paper { Options::paper() } else { Options::default() }
-        };
+        let options = (if paper { Options::paper() } else { Options::default() }).with_topology(if tree { Topology::ChowLiu } else { Topology::Dense });
         let reduced = without(&full, &gone, options);
         let found = compare(&full, &reduced).unwrap();
         let (covariance, mean) = dense(&full, &reduced);

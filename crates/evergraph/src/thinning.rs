@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use evergraph_model::{FactorId, Graph, GraphError, VariableId};
 use evergraph_removal::{
-    DegreeQueue, Fallback, Loss, LossQueue, Options, Order, Removal, RemovalError, shuffled,
+    Fallback, Loss, Options, Order, Removal, RemovalError, Remover, remove_in_order,
 };
 use evergraph_solver::{Covariances, Smoother, SmootherError};
 use thiserror::Error;
@@ -92,7 +92,7 @@ pub struct Thinning {
 
 impl Thinning {
     /// Removes `nodes` one by one, [`Rules::at_most`] of them. Dynamic orders look at the graph as it
-    /// then is ([`DegreeQueue`], [`LossQueue`]). A node that is needed stays and is listed. `done` is
+    /// then is ([`remove_in_order`]). A node that is needed stays and is listed. `done` is
     /// called after each node.
     ///
     /// Prices are exact where the neighborhood is in the linear model ([`Options::linear_within`]), as after
@@ -106,37 +106,18 @@ impl Thinning {
         smoother: &mut Smoother,
         nodes: &[VariableId],
         rules: &Rules<'_>,
-        mut done: impl FnMut(),
+        done: impl FnMut(),
     ) -> Result<Self, ThinningError> {
         check(smoother.graph(), nodes)?;
         let before = smoother.clone();
-        let mut thinning = Self::default();
-        match thinning.all(smoother, nodes, rules, &mut done) {
-            Ok(()) => Ok(thinning),
+        let mut live = Live { smoother, rules, thinning: Self::default(), done };
+        match remove_in_order(&mut live, nodes, rules.order, rules.at_most) {
+            Ok(()) => Ok(live.thinning),
             Err(error) => {
-                *smoother = before;
+                *live.smoother = before;
                 Err(error)
             }
         }
-    }
-
-    fn all(
-        &mut self,
-        smoother: &mut Smoother,
-        nodes: &[VariableId],
-        rules: &Rules<'_>,
-        done: &mut impl FnMut(),
-    ) -> Result<(), ThinningError> {
-        let mut queue = Queue::new(smoother, nodes, rules)?;
-        while self.removed.len() < rules.at_most
-            && let Some((node, loss)) = queue.pop(smoother, rules)?
-        {
-            if let Some(touched) = self.take(smoother, node, loss, rules)? {
-                queue.look_again(smoother, &touched, rules)?;
-            }
-            done();
-        }
-        Ok(())
     }
 
     /// The sum of the prices; `None` unless all are known.
@@ -144,30 +125,67 @@ impl Thinning {
         // The sum of no terms is -0.
         self.removed.iter().map(|it| it.price).sum::<Option<f64>>().map(|sum| sum + 0.0)
     }
+}
 
+/// A smoother that nodes are removed from, and what has become of them.
+struct Live<'a, D> {
+    smoother: &'a mut Smoother,
+    rules: &'a Rules<'a>,
+    thinning: Thinning,
+    done: D,
+}
+
+impl<D: FnMut()> Remover for Live<'_, D> {
+    type Error = ThinningError;
+
+    fn slot(&self, node: VariableId) -> Result<usize, ThinningError> {
+        Ok(node.index())
+    }
+
+    fn degree(&self, node: VariableId) -> Result<usize, ThinningError> {
+        Ok(degree(self.smoother.graph(), node).map_err(RemovalError::from)?)
+    }
+
+    fn prices(&mut self) -> impl FnMut(VariableId) -> Result<Loss, ThinningError> {
+        let (smoother, rules) = (&*self.smoother, self.rules);
+        let mut covariances = smoother.covariances();
+        move |node| Ok(loss(smoother, &mut covariances, node, rules)?)
+    }
+
+    fn remove(
+        &mut self,
+        node: VariableId,
+        loss: Option<Loss>,
+    ) -> Result<Option<Vec<VariableId>>, ThinningError> {
+        let touched = self.take(node, loss)?;
+        (self.done)();
+        Ok(touched)
+    }
+}
+
+impl<D> Live<'_, D> {
     /// Removes a node, whose price may be known, or notes why it stays. Says whose neighborhood has
     /// changed; `None` when nothing has.
     fn take(
         &mut self,
-        smoother: &mut Smoother,
         node: VariableId,
         loss: Option<Loss>,
-        rules: &Rules<'_>,
     ) -> Result<Option<Vec<VariableId>>, ThinningError> {
         let loss = match loss {
-            None if rules.prices => {
-                Some(self::loss(smoother, &mut smoother.covariances(), node, rules)?)
+            None if self.rules.prices => {
+                let mut covariances = self.smoother.covariances();
+                Some(self::loss(self.smoother, &mut covariances, node, self.rules)?)
             }
             known => known,
         };
         let price = loss.map(|loss| loss.price).filter(|price| price.is_finite());
         let begun = Instant::now();
-        let planned = removal(smoother, rules).plan(node);
+        let planned = removal(self.smoother, self.rules).plan(node);
         let planning = begun.elapsed();
         let plan = match planned {
             Ok(plan) => plan,
             Err(error) if is_needed(&error) => {
-                self.kept.push((node, Needed::Planned(error)));
+                self.thinning.kept.push((node, Needed::Planned(error)));
                 return Ok(None);
             }
             Err(error) => return Err(error.into()),
@@ -185,13 +203,13 @@ impl Thinning {
             fallback: step.and_then(|step| step.fallback),
         };
         let begun = Instant::now();
-        match smoother.apply(plan.into_change()) {
+        match self.smoother.apply(plan.into_change()) {
             Ok(_) => {
-                self.removed.push(Thinned { apply: begun.elapsed(), ..thinned });
+                self.thinning.removed.push(Thinned { apply: begun.elapsed(), ..thinned });
                 Ok(Some(touched))
             }
             Err(error @ SmootherError::Singular(_)) => {
-                self.kept.push((node, Needed::Applied(error)));
+                self.thinning.kept.push((node, Needed::Applied(error)));
                 Ok(None)
             }
             Err(source) => {
@@ -240,83 +258,6 @@ fn loss(
         Err(RemovalError::Covariance { .. }) => unknown(),
         Err(error) if is_needed(&error) => unknown(),
         Err(error) => Err(error),
-    }
-}
-
-/// Nodes that wait, and which is next.
-enum Queue {
-    /// The next is last.
-    Fixed(Vec<VariableId>),
-    Degree(DegreeQueue),
-    Loss(LossQueue),
-}
-
-impl Queue {
-    fn new(
-        smoother: &Smoother,
-        nodes: &[VariableId],
-        rules: &Rules<'_>,
-    ) -> Result<Self, RemovalError> {
-        Ok(match rules.order {
-            Order::Given => Self::Fixed(nodes.iter().rev().copied().collect()),
-            Order::Random(seed) => Self::Fixed(shuffled(nodes, seed).into_iter().rev().collect()),
-            Order::MinDegree => {
-                let mut queue = DegreeQueue::default();
-                for &node in nodes {
-                    queue.insert(node, degree(smoother.graph(), node)?);
-                }
-                Self::Degree(queue)
-            }
-            Order::MinLoss => {
-                let mut covariances = smoother.covariances();
-                let mut queue = LossQueue::default();
-                for &node in nodes {
-                    queue.insert(node, loss(smoother, &mut covariances, node, rules)?);
-                }
-                Self::Loss(queue)
-            }
-        })
-    }
-
-    /// The next node, and what it costs if that is known.
-    fn pop(
-        &mut self,
-        smoother: &Smoother,
-        rules: &Rules<'_>,
-    ) -> Result<Option<(VariableId, Option<Loss>)>, RemovalError> {
-        Ok(match self {
-            Self::Fixed(nodes) => nodes.pop().map(|node| (node, None)),
-            Self::Degree(queue) => queue.pop().map(|node| (node, None)),
-            Self::Loss(queue) => {
-                let mut covariances = smoother.covariances();
-                let next = queue.pop(|node| loss(smoother, &mut covariances, node, rules))?;
-                next.map(|(node, loss)| (node, Some(loss)))
-            }
-        })
-    }
-
-    /// After a removal whose blanket was `touched`.
-    fn look_again(
-        &mut self,
-        smoother: &Smoother,
-        touched: &[VariableId],
-        rules: &Rules<'_>,
-    ) -> Result<(), RemovalError> {
-        match self {
-            Self::Fixed(_) => Ok(()),
-            Self::Degree(queue) => {
-                for &node in touched {
-                    if queue.contains(node) {
-                        queue.insert(node, degree(smoother.graph(), node)?);
-                    }
-                }
-                Ok(())
-            }
-            Self::Loss(queue) => {
-                let mut covariances = smoother.covariances();
-                queue.removed(touched, |node| loss(smoother, &mut covariances, node, rules))
-            }
-        }
     }
 }
 

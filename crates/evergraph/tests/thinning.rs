@@ -92,7 +92,7 @@ fn a_refusal_leaves_everything_as_it_was() {
     let (mut smoother, poses) = world(1);
     let before = smoother.fingerprint();
     // The first can be composed; those that see the landmark cannot.
-    let options = Options { recovery: Recovery::Composition, ..Options::default() };
+    let options = Options::default().with_recovery(Recovery::Composition);
     let rules = rules(Order::Given, options);
     let mut done = 0;
     let error = Thinning::run(&mut smoother, &[poses[5], poses[30]], &rules, || done += 1);

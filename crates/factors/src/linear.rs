@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector};
 use smallvec::SmallVec;
 
 use crate::error::{FactorError, finite};
-use crate::root_shift::{Chart, RootShift, coordinates};
+use crate::root_shift::{Buffer, Chart, RootShift, coordinates};
 
 /// A linear factor on any number of variables of any types (GLC):
 ///
@@ -146,7 +146,7 @@ impl Linear {
         &self,
         k: usize,
         at: &Arguments<'b>,
-        buffer: &'b mut [f64; 7],
+        buffer: &'b mut Buffer,
     ) -> (&'b [f64], Block) {
         let coordinate = self.charts[k].coordinate(at.storage(0), at.storage(k), buffer);
         let mut local = Block::from_elem(0.0, self.dim(k));
@@ -176,7 +176,7 @@ impl Factor for Linear {
     fn residual(&self, at: &Arguments<'_>, out: &mut [f64]) {
         out.fill(0.0);
         for k in 0..self.keys.len() {
-            let mut buffer = [0.0; 7];
+            let mut buffer = Buffer::new();
             let (_, local) = self.local(k, at, &mut buffer);
             self.add_residual(k, &local, out);
         }
@@ -184,7 +184,7 @@ impl Factor for Linear {
 
     fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
         for k in 0..self.keys.len() {
-            let mut buffer = [0.0; 7];
+            let mut buffer = Buffer::new();
             let (coordinate, local) = self.local(k, at, &mut buffer);
             self.add_residual(k, &local, out.residual_mut());
             let dim = self.dim(k);
@@ -192,11 +192,11 @@ impl Factor for Linear {
             self.charts[k].local_jacobian(&self.coordinates[k], coordinate, &local, &mut jacobian);
             if self.charts[k].follows_the_root() {
                 let mut by_root = Block::from_elem(0.0, dim * self.dim(0));
-                self.charts[k].transport(coordinate, &jacobian, &mut by_root);
+                self.charts[k].transport(at.storage(0), coordinate, &jacobian, &mut by_root);
                 self.add_product(k, &by_root, -1.0, out.block_mut(0));
             }
             if self.charts[k].follows_its_variable() {
-                self.charts[k].turn(at.storage(0), &mut jacobian);
+                self.charts[k].turn(at.storage(0), at.storage(k), &mut jacobian);
                 self.add_product(k, &jacobian, 1.0, out.block_mut(k));
             }
         }

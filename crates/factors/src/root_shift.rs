@@ -1,10 +1,12 @@
 //! The coordinates that a linear factor is linear in.
 
 use evergraph_model::{
-    LieGroup, Manifold, Point2, Point3, Pose2, Pose3, Rot2, Rot3, Value, VariableType, VectorN,
+    LieGroup, Manifold, Motion, Point2, Point3, Pose2, Pose3, Rot2, Rot3, Value, VariableType,
+    VectorN,
 };
-use nalgebra::{DMatrix, SMatrix, SVector};
+use nalgebra::{DMatrix, DMatrixView, SMatrix, SVector};
 use serde::{Deserialize, Serialize};
+use smallvec::SmallVec;
 
 use crate::error::FactorError;
 use crate::prior::LocalJacobian;
@@ -45,11 +47,12 @@ impl RootShift {
             let mut own = DMatrix::<f64>::identity(n, n);
             if chart.follows_the_root() {
                 let mut by_root = DMatrix::zeros(n, of_root);
-                chart.transport(coordinate.storage(), own.as_slice(), by_root.as_mut_slice());
+                let root = points[0].storage();
+                chart.transport(root, coordinate.storage(), own.as_slice(), by_root.as_mut_slice());
                 jacobian.view_mut((row, 0), (n, of_root)).copy_from(&-by_root);
             }
             if chart.follows_its_variable() {
-                chart.turn(points[0].storage(), own.as_mut_slice());
+                chart.turn(points[0].storage(), point.storage(), own.as_mut_slice());
                 jacobian.view_mut((row, row), (n, n)).copy_from(&own);
             }
             row += n;
@@ -76,42 +79,41 @@ pub(crate) fn coordinates(
     shift: RootShift,
     points: &[Value],
 ) -> Result<(Vec<Chart>, Vec<Value>), FactorError> {
-    let chart = |k: usize, point: &Value| {
-        let kind = point.kind();
-        let seen = match (shift, k) {
-            (RootShift::None, _) | (RootShift::Root, 0) => Seen::AsItIs,
-            (RootShift::InverseRoot, 0) => Seen::Inverted,
-            _ if is_seen(points[0].kind(), kind) => Seen::FromTheRoot,
-            _ => Seen::AsItIs,
-        };
-        Chart { seen, group: Group::of(kind) }
-    };
-    let charts: Vec<Chart> = points.iter().enumerate().map(|(k, point)| chart(k, point)).collect();
     if shift != RootShift::None
         && let Some(root) = points.first()
-        && !matches!(charts[0].group, Group::Pose2 | Group::Pose3)
+        && pose(root.kind()).is_none_or(|motion| motion.world().dim() != root.dim())
     {
         return Err(FactorError::RootIsNoPose { actual: root.kind().name() });
     }
+    let charts: Vec<Chart> = points
+        .iter()
+        .enumerate()
+        .map(|(k, point)| Chart::of(shift, k, &points[0], point))
+        .collect();
     let coordinates =
         charts.iter().zip(points).map(|(chart, point)| chart.value(&points[0], point)).collect();
     Ok((charts, coordinates))
 }
 
-/// Whether a pose of type `root` sees variables of type `kind`.
-fn is_seen(root: &VariableType, kind: &VariableType) -> bool {
-    if root.is::<Pose2>() {
-        kind.is::<Pose2>() || kind.is::<Point2>()
-    } else {
-        root.is::<Pose3>() && (kind.is::<Pose3>() || kind.is::<Point3>())
-    }
+/// The motion of a type that is a pose.
+fn pose(kind: &'static VariableType) -> Option<&'static Motion> {
+    kind.motion().filter(|motion| motion.is_pose())
 }
 
-/// How one variable becomes one coordinate.
+/// Whether a pose of type `root` sees variables of type `kind`.
+fn is_seen(root: &VariableType, kind: &VariableType) -> bool {
+    root.motion().zip(kind.motion()).is_some_and(|(root, motion)| {
+        root.is_pose() && motion.is_seen() && root.world() == motion.world()
+    })
+}
+
+/// The map from one variable to one coordinate.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Chart {
     seen: Seen,
     group: Group,
+    /// The motions of the root and of the variable, where one of them is of a user's type.
+    users: Option<(&'static Motion, &'static Motion)>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -123,8 +125,11 @@ enum Seen {
     FromTheRoot,
 }
 
+/// The stored numbers of a coordinate.
+pub(crate) type Buffer = SmallVec<[f64; 7]>;
+
 /// A [`VariableType`] resolved once, so that the hot path compares no type ids.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Group {
     Pose2,
     Pose3,
@@ -158,6 +163,22 @@ impl Group {
 }
 
 impl Chart {
+    /// The chart of variable `k`, at `point`.
+    fn of(shift: RootShift, k: usize, root: &Value, point: &Value) -> Self {
+        let kind = point.kind();
+        let seen = match (shift, k) {
+            (RootShift::None, _) | (RootShift::Root, 0) => Seen::AsItIs,
+            (RootShift::InverseRoot, 0) => Seen::Inverted,
+            _ if is_seen(root.kind(), kind) => Seen::FromTheRoot,
+            _ => Seen::AsItIs,
+        };
+        let (of_root, group) = (Group::of(root.kind()), Group::of(kind));
+        let are_ours = |group| matches!(group, Group::Pose2 | Group::Pose3);
+        let is_erased = seen != Seen::AsItIs && !(are_ours(of_root) && group != Group::Other);
+        let users = root.kind().motion().zip(kind.motion()).filter(|_| is_erased);
+        Self { seen, group, users }
+    }
+
     pub(crate) fn follows_its_variable(&self) -> bool {
         self.seen != Seen::Inverted
     }
@@ -167,17 +188,21 @@ impl Chart {
     }
 
     /// The coordinate of a stored `point`, in `buffer` unless it is the point itself.
+    #[inline]
     pub(crate) fn coordinate<'b>(
         &self,
         root: &[f64],
         point: &'b [f64],
-        buffer: &'b mut [f64; 7],
+        buffer: &'b mut Buffer,
     ) -> &'b [f64] {
         if self.seen == Seen::AsItIs {
-            // Of any length: the buffer holds poses and points.
             return point;
         }
-        let out = &mut buffer[..point.len()];
+        if let Some(users) = self.users {
+            return self.coordinate_of_users(users, root, point, buffer);
+        }
+        buffer.resize(point.len(), 0.0);
+        let out = &mut buffer[..];
         match (self.seen, self.group) {
             (Seen::FromTheRoot, Group::Pose2) => {
                 Pose2::load(root).between(&Pose2::load(point)).store(out)
@@ -198,20 +223,28 @@ impl Chart {
         out
     }
 
+    /// [`coordinate`](Self::coordinate) where the root or the variable is of a user's type.
+    fn coordinate_of_users<'b>(
+        &self,
+        (of_root, motion): (&Motion, &Motion),
+        root: &[f64],
+        point: &'b [f64],
+        buffer: &'b mut Buffer,
+    ) -> &'b [f64] {
+        buffer.resize(point.len(), 0.0);
+        match (self.seen, of_root.frame(root)) {
+            (Seen::Inverted, Some(_)) => {
+                motion.inverted(point, buffer);
+            }
+            (_, Some(frame)) => motion.seen_from(point, &frame, buffer),
+            (_, None) => return point,
+        }
+        buffer
+    }
+
     fn value(&self, root: &Value, point: &Value) -> Value {
-        let mut buffer = [0.0; 7];
-        if self.seen == Seen::AsItIs {
-            return point.clone();
-        }
-        let coordinate = self.coordinate(root.storage(), point.storage(), &mut buffer);
-        match self.group {
-            Group::Pose2 => Value::new(&Pose2::load(coordinate)),
-            Group::Pose3 => Value::new(&Pose3::load(coordinate)),
-            Group::Point2 => Value::new(&Point2::load(coordinate)),
-            Group::Point3 => Value::new(&Point3::load(coordinate)),
-            // The root is a pose, and only what `is_seen` names is seen from it.
-            _ => unreachable!("only poses and points are shifted"),
-        }
+        let mut buffer = Buffer::new();
+        point.with_storage(self.coordinate(root.storage(), point.storage(), &mut buffer))
     }
 
     /// The derivative of `local(base, c)` by a right perturbation of `c`, where `local` is its
@@ -230,7 +263,11 @@ impl Chart {
 
     /// From the derivative `m` by the coordinate to minus that by the root: `m Ad(c⁻¹)` for a pose,
     /// `m [I -[c]×]` (in the plane `m [I J c]`) for a point.
-    pub(crate) fn transport(&self, c: &[f64], m: &[f64], out: &mut [f64]) {
+    pub(crate) fn transport(&self, root: &[f64], c: &[f64], m: &[f64], out: &mut [f64]) {
+        if let Some((of_root, motion)) = self.users {
+            transport_of_users(of_root, motion, root, c, m, out);
+            return;
+        }
         match self.group {
             Group::Pose2 => times_adjoint_of_inverse(&Pose2::load(c), m, out),
             Group::Pose3 => times_adjoint_of_inverse(&Pose3::load(c), m, out),
@@ -252,7 +289,11 @@ impl Chart {
 
     /// From the derivative by the coordinate to that by the variable itself, in place: `m C₁ᵀ` for a
     /// point that is seen from the root, `m` for all else.
-    pub(crate) fn turn(&self, root: &[f64], m: &mut [f64]) {
+    pub(crate) fn turn(&self, root: &[f64], point: &[f64], m: &mut [f64]) {
+        if let (Seen::FromTheRoot, Some((of_root, motion))) = (self.seen, self.users) {
+            turn_of_users(of_root, motion, root, point, m);
+            return;
+        }
         match (self.seen, self.group) {
             (Seen::FromTheRoot, Group::Point2) => {
                 let turn = Pose2::load(root).rotation();
@@ -269,6 +310,38 @@ impl Chart {
             _ => {}
         }
     }
+}
+
+/// `m L(c) F`, with L the motion of the coordinate with its world and F the derivative of the root's frame.
+fn transport_of_users(
+    of_root: &Motion,
+    motion: &Motion,
+    root: &[f64],
+    c: &[f64],
+    m: &[f64],
+    out: &mut [f64],
+) {
+    let n = of_root.world().dim();
+    let dim = out.len() / n.max(1);
+    let mut lever = DMatrix::zeros(dim, n);
+    motion.lever(c, lever.as_mut_slice());
+    if !of_root.is_the_group() {
+        let mut frame = DMatrix::zeros(n, n);
+        of_root.frame_derivative(root, frame.as_mut_slice());
+        lever *= frame;
+    }
+    out.copy_from_slice((DMatrixView::from_slice(m, dim, dim) * lever).as_slice());
+}
+
+/// `m D`, with D the derivative of the coordinate by its variable.
+fn turn_of_users(of_root: &Motion, motion: &Motion, root: &[f64], point: &[f64], m: &mut [f64]) {
+    let Some(frame) = of_root.frame(root) else { return };
+    // `m` is square: a row and a column for each tangent component.
+    let dim = m.len().isqrt();
+    let mut derivative = DMatrix::zeros(dim, dim);
+    motion.seen_from_derivative(point, &frame, derivative.as_mut_slice());
+    let product = DMatrixView::from_slice(m, dim, dim) * derivative;
+    m.copy_from_slice(product.as_slice());
 }
 
 fn times_adjoint_of_inverse<G: LieGroup<N>, const N: usize>(c: &G, m: &[f64], out: &mut [f64]) {

@@ -33,8 +33,10 @@
 #![deny(missing_docs)]
 
 mod arguments;
+pub mod belief;
 mod change;
 mod error;
+mod evaluate;
 mod factor;
 pub mod geometry;
 mod graph;
@@ -42,16 +44,19 @@ mod ids;
 mod kernel;
 mod key;
 mod manifold;
+mod moves;
 mod noise;
 mod slots;
 pub mod testing;
 mod user_code;
 mod value;
 mod values;
+mod world;
 
 pub use arguments::{Arguments, Linearization};
 pub use change::Change;
 pub use error::GraphError;
+pub use evaluate::{EvaluationError, LinearizedFactor, linearize_at};
 pub use factor::Factor;
 pub use geometry::{Point2, Point3, Pose2, Pose3, Rot2, Rot3, VectorN};
 pub use graph::{Graph, SavedFactor, SavedGraph, SavedVariable, Staged};
@@ -59,6 +64,8 @@ pub use ids::Ids;
 pub use kernel::{Kernel, KernelError, Robust};
 pub use key::{FactorId, FactorIndex, Key, VariableId, VariableIndex, Version};
 pub use manifold::{LieGroup, Manifold, VariableType};
+pub use moves::{Frame, Moves};
 pub use noise::{Noise, NoiseError};
 pub use value::{Value, ValueRef};
 pub use values::Values;
+pub use world::{Motion, World};

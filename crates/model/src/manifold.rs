@@ -5,6 +5,8 @@ use std::fmt;
 
 use nalgebra::{SMatrix, SVector};
 
+use crate::world::Motion;
+
 /// A smooth manifold that a variable may live on.
 ///
 /// Implement it for types of your own and check the laws with
@@ -23,6 +25,11 @@ pub trait Manifold: Clone + fmt::Debug + PartialEq + Send + Sync + 'static {
     /// Names of the tangent components, in order; empty when the dimension is known only at run
     /// time.
     const COMPONENTS: &'static [&'static str];
+
+    /// The motion of the type with its world, `Motion::of` or `Motion::of_pose` of a type that implements
+    /// [`Moves`](crate::Moves). The default, `None`, is a variable that does not move with the world, such as a vector of
+    /// biases.
+    const MOTION: Option<Motion> = None;
 
     /// Dimension of the tangent space.
     fn dim(&self) -> usize;
@@ -81,6 +88,7 @@ pub struct VariableType {
     name: &'static str,
     components: &'static [&'static str],
     type_id: TypeId,
+    motion: Option<Motion>,
     retract: fn(&[f64], &[f64], &mut [f64]),
     local: fn(&[f64], &[f64], &mut [f64]),
     reload: fn(&[f64]) -> (usize, usize),
@@ -95,6 +103,7 @@ impl VariableType {
                 name: V::NAME,
                 components: V::COMPONENTS,
                 type_id: TypeId::of::<V>(),
+                motion: V::MOTION,
                 retract: |x, delta, out| V::load(x).retract(delta).store(out),
                 local: |x, y, out| V::load(x).local(&V::load(y), out),
                 reload: |x| {
@@ -114,6 +123,11 @@ impl VariableType {
     /// The name of tangent component `i`: [`Manifold::COMPONENTS`], or the index itself.
     pub fn component(&self, i: usize) -> String {
         self.components.get(i).map_or_else(|| i.to_string(), |name| (*name).to_string())
+    }
+
+    /// [`Manifold::MOTION`].
+    pub fn motion(&self) -> Option<&Motion> {
+        self.motion.as_ref()
     }
 
     /// Whether this is the erased form of `V`.

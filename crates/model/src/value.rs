@@ -69,6 +69,21 @@ impl Value {
         &self.storage
     }
 
+    /// A value of the same type and dimension with other stored numbers.
+    ///
+    /// # Panics
+    /// When `storage` has another length than [`storage`](Self::storage).
+    #[must_use]
+    pub fn with_storage(&self, storage: &[f64]) -> Self {
+        assert_eq!(
+            storage.len(),
+            self.storage.len(),
+            "a stored {} has its length",
+            self.kind.name()
+        );
+        Self::from_storage(self.kind, self.dim, storage)
+    }
+
     /// The value moved by a tangent vector: [`Manifold::retract`]. `None` when the vector has
     /// another length than [`dim`](Self::dim).
     pub fn retract(&self, delta: &[f64]) -> Option<Self> {

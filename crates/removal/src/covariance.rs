@@ -3,7 +3,7 @@
 use nalgebra::DMatrix;
 
 use crate::motion::carried;
-use crate::qr::{triangle, upper_inverse};
+use crate::rank_qr::{triangle, upper_inverse};
 use crate::target::Target;
 
 /// Pivots below this share of their column's norm make an inverse that has lost half of the digits
@@ -24,7 +24,7 @@ pub(crate) struct CovarianceRoot {
 impl CovarianceRoot {
     /// O(n³).
     pub(crate) fn of(target: &Target) -> Option<Self> {
-        let held: usize = target.held.iter().flatten().map(|&held| target.dim_of(held)).sum();
+        let held: usize = target.held().map(|held| target.dim_of(held)).sum();
         if target.rank() + held != target.dim() {
             return None;
         }

@@ -1,7 +1,8 @@
 //! Why a removal cannot be planned.
 
 use evergraph_factors::FactorError;
-use evergraph_model::{GraphError, NoiseError, VariableId};
+use evergraph_model::belief::BeliefError;
+use evergraph_model::{EvaluationError, GraphError, NoiseError, VariableId};
 use thiserror::Error;
 
 /// Why a removal cannot be planned. Nothing has been altered.
@@ -76,6 +77,16 @@ pub enum RemovalError {
         /// How many estimates.
         actual: usize,
     },
+    /// A factor that cannot be evaluated, for example because its code panics.
+    #[error(
+        "factor {factor} cannot be linearized: {source}; its variables cannot be removed before it is dropped"
+    )]
+    Factor {
+        /// The factor's id, or `planned` for one that an earlier step of the plan adds.
+        factor: String,
+        /// The failure.
+        source: EvaluationError,
+    },
     /// A factor whose residual or Jacobian is not finite where it is linearized.
     #[error(
         "factor {factor} ({name}) on {variables:?} has a residual or Jacobian that is not finite where it is \
@@ -114,13 +125,13 @@ pub enum RemovalError {
         "removing by least loss needs the joint covariance of blankets; give one with `priced_by`"
     )]
     NeedsCovariance,
-    /// The covariance could not be had.
-    #[error("the joint covariance of {variables:?} cannot be had: {reason}")]
+    /// The covariance of a blanket that cannot be had.
+    #[error("the joint covariance of {variables:?} cannot be had: {source}")]
     Covariance {
         /// The variables asked for.
         variables: Vec<VariableId>,
-        /// Why.
-        reason: String,
+        /// The failure.
+        source: BeliefError,
     },
     /// An option without meaning.
     #[error("option {option} is {value}; it must be {expected}")]

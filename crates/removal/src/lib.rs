@@ -53,9 +53,11 @@
 #![deny(missing_docs)]
 
 mod covariance;
+mod driver;
 mod error;
-mod many;
+mod groups;
 mod marginals;
+mod member;
 mod motion;
 mod neighborhood;
 mod options;
@@ -64,20 +66,23 @@ mod overlay;
 mod plan;
 mod potential;
 mod price;
-mod qr;
 mod queue;
+mod rank_qr;
 mod recover;
-mod smoother;
+mod removal;
 mod step;
 mod target;
 mod topology;
+mod work;
 
+pub use driver::{Remover, remove_in_order};
 pub use error::RemovalError;
 pub use evergraph_factors::RootShift;
+pub use evergraph_model::belief::{BeliefError, Covariance, Estimates, LinearizedEstimate};
 pub use options::{Guard, MutualInformation, Offset, Options, Rank, Recovery, Topology};
 pub use order::{Order, shuffled};
-pub use overlay::{Estimates, Linearized, Source};
-pub use plan::{Plan, Removal};
-pub use price::Covariance;
-pub use queue::{DegreeQueue, Loss, LossQueue};
+pub use overlay::Source;
+pub use plan::{Plan, PlannedFactor};
+pub use queue::Loss;
+pub use removal::Removal;
 pub use step::{Fallback, NewFactor, Step};

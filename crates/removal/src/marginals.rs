@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::qr::echelon;
+use crate::rank_qr::echelon;
 use crate::target::Target;
 
 /// The square root of a marginal, which further marginals can be taken of.
@@ -103,8 +103,8 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::neighborhood::Member;
-    use crate::qr::column_norms;
+    use crate::member::Member;
+    use crate::rank_qr::column_norms;
 
     /// A target of given rank on points of the plane.
     fn target(members: usize, rank: usize, rng: &mut ChaCha8Rng) -> Target {
@@ -124,7 +124,7 @@ mod tests {
             root,
             pivots,
             scales,
-            held: [None; 2],
+            held: Vec::new(),
             explained: 0.0,
             free: 0,
         }

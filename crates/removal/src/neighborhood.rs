@@ -1,43 +1,13 @@
 //! What a removal reads: the Markov blanket of the removed nodes and the factors inside it.
 
-use evergraph_model::{Arguments, Factor, Linearization, Value, VariableId};
-use nalgebra::{DMatrix, DVector};
+use evergraph_model::{Factor, ValueRef, VariableId, linearize_at};
+use nalgebra::DMatrix;
 use smallvec::SmallVec;
 
 use crate::error::RemovalError;
+use crate::member::Member;
 use crate::options::Options;
 use crate::overlay::{Overlay, Source};
-
-/// A variable, and where the removal sees it.
-#[derive(Clone, Debug)]
-pub(crate) struct Member {
-    pub(crate) id: VariableId,
-    /// Where its factors are linearized.
-    pub(crate) value: Value,
-    /// The step from there to the estimate.
-    pub(crate) delta: DVector<f64>,
-}
-
-impl Member {
-    /// At its estimate.
-    pub(crate) fn at(id: VariableId, value: Value) -> Self {
-        let delta = DVector::zeros(value.dim());
-        Self { id, value, delta }
-    }
-
-    /// The estimate's stored numbers.
-    pub(crate) fn estimate(&self) -> Vec<f64> {
-        let mut estimate = self.value.storage().to_vec();
-        if self.is_off() {
-            self.value.kind().retract(self.value.storage(), self.delta.as_slice(), &mut estimate);
-        }
-        estimate
-    }
-
-    fn is_off(&self) -> bool {
-        self.delta.iter().any(|&x| x != 0.0)
-    }
-}
 
 /// A factor of the linear model at the estimate: the rows `[J₁ … Jₖ | b]` with `b = -(r + Jδ)`.
 #[derive(Clone, Debug)]
@@ -96,7 +66,7 @@ impl Neighborhood {
         if blanket.is_empty() && !overlay.leads_to_kept(removed) {
             return Err(RemovalError::NoBlanket { variable: first });
         }
-        check_last_pose(overlay, removed)?;
+        overlay.check_last_pose(removed, &blanket)?;
         let dim = blanket.iter().map(|id| overlay.graph.dim_at(id.index())).sum();
         if dim > options.largest_blanket {
             let largest = options.largest_blanket;
@@ -150,32 +120,25 @@ impl Neighborhood {
     /// weight is frozen by taking them as they are.
     fn read(
         &self,
-        source: Source,
+        from: Source,
         factor: &dyn Factor,
         places: &Places<'_>,
     ) -> Result<Read, RemovalError> {
         let non_finite = || RemovalError::NonFiniteFactor {
-            factor: source.to_string(),
+            factor: from.to_string(),
             name: factor.name(),
             variables: factor.keys().to_vec(),
         };
         let members: SmallVec<[usize; 4]> =
             factor.keys().iter().filter_map(|&key| places.of(key)).collect();
-        let storages: SmallVec<[&[f64]; 4]> =
-            members.iter().map(|&m| self.members[m].value.storage()).collect();
-        let arguments = Arguments::new(&storages);
-        let mut columns: SmallVec<[u32; 5]> = SmallVec::from_slice(&[0]);
-        let mut width = 0;
-        for &m in &members {
-            width += self.members[m].value.dim();
-            columns.push(width as u32);
-        }
-        let dim = factor.residual_dim();
-        let mut residual: SmallVec<[f64; 8]> = SmallVec::from_elem(0.0, dim);
-        factor.residual(&arguments, &mut residual);
-        let mut error = factor.error(&residual);
-        let mut rows = DMatrix::zeros(dim, width + 1);
-        factor.linearize(&arguments, &mut Linearization::new(dim, &columns, rows.as_mut_slice()));
+        let values: SmallVec<[ValueRef<'_>; 4]> =
+            members.iter().map(|&m| self.members[m].value.as_ref()).collect();
+        let linearized = linearize_at(factor, &values)
+            .map_err(|source| RemovalError::Factor { factor: from.to_string(), source })?;
+        let mut error = linearized.error();
+        let norm: f64 = linearized.unweighted_residual().iter().map(|r| r * r).sum();
+        let (count, width) = (linearized.rows(), linearized.columns()[members.len()] as usize);
+        let mut rows = DMatrix::from_vec(count, width + 1, linearized.into_data());
         rows.column_mut(width).neg_mut();
         let is_finite = |rows: &DMatrix<f64>, error: f64| {
             error.is_finite() && rows.iter().all(|x| x.is_finite())
@@ -183,7 +146,6 @@ impl Neighborhood {
         if !is_finite(&rows, error) {
             return Err(non_finite());
         }
-        let norm: f64 = residual.iter().map(|r| r * r).sum();
         let weighted = rows.column(width).norm_squared();
         let weight = if norm.is_normal() { weighted / norm } else { 1.0 };
         if members.iter().any(|&m| self.members[m].is_off()) {
@@ -193,7 +155,7 @@ impl Neighborhood {
                 return Err(non_finite());
             }
         }
-        Ok(Read { source, members, rows, error, weight })
+        Ok(Read { source: from, members, rows, error, weight })
     }
 
     /// From where the members are seen to the estimate: `b - Jδ`.
@@ -248,20 +210,5 @@ impl<'a> Places<'a> {
 
     fn of(&self, id: VariableId) -> Option<usize> {
         self.removed(id).or_else(|| self.blanket(id))
-    }
-}
-
-/// Refuses to take the last poses of a graph out.
-pub(crate) fn check_last_pose(
-    overlay: &Overlay<'_>,
-    removed: &[VariableId],
-) -> Result<(), RemovalError> {
-    let is_pose =
-        |id: &&VariableId| crate::motion::pose_of(overlay.graph.kind_at(id.index())).is_some();
-    match removed.iter().find(is_pose) {
-        Some(&variable) if removed.iter().filter(is_pose).count() == overlay.poses() => {
-            Err(RemovalError::LastPose { variable })
-        }
-        _ => Ok(()),
     }
 }

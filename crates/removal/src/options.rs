@@ -3,6 +3,8 @@
 use evergraph_factors::RootShift;
 use serde::{Deserialize, Serialize};
 
+use crate::error::RemovalError;
+
 /// Which of the blanket's variables the new factors join.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -18,6 +20,7 @@ pub enum Topology {
 /// What kind of factors carry the information.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Recovery {
     /// Generic linear constraints: any types, any rank.
     #[default]
@@ -37,6 +40,7 @@ pub enum Recovery {
 /// Where the new factors have their minimum.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Offset {
     /// The gradient of the new factors at the estimate is that of the factors they replace, so
     /// that removal at the optimum moves nothing.
@@ -50,6 +54,7 @@ pub enum Offset {
 /// What the Chow-Liu tree maximizes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum MutualInformation {
     /// Equation 17 of the laser paper, and where the target is singular its limit under a
     /// vanishing prior. Where all is relative and otherwise known that is `½ ln det Λ` with Λ the
@@ -71,6 +76,7 @@ pub enum MutualInformation {
 /// Which directions of a generic linear constraint count as information.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Rank {
     /// Those that the column-scaled Jacobian shows, 1e-10 of a column's norm or more.
     #[default]
@@ -86,7 +92,8 @@ pub enum Rank {
 /// Offsets are small at first and grow when nodes are removed again and again. Where a tree is what one
 /// factor would be, between two, there is nothing to guard against.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct Guard {
     /// Rotation of an offset, radians. Directions in which the factor knows less than a prior of
     /// 1 m or 1 rad would do not count: a minimum far out there pulls as hardly as it is known.
@@ -94,6 +101,20 @@ pub struct Guard {
     pub rotation: f64,
     /// Length of a factor's whitened residual at the estimate, standard deviations. Default 100.
     pub mahalanobis: f64,
+}
+
+impl Guard {
+    /// Sets [`rotation`](Self::rotation).
+    #[must_use]
+    pub fn with_rotation(self, rotation: f64) -> Self {
+        Self { rotation, ..self }
+    }
+
+    /// Sets [`mahalanobis`](Self::mahalanobis).
+    #[must_use]
+    pub fn with_mahalanobis(self, mahalanobis: f64) -> Self {
+        Self { mahalanobis, ..self }
+    }
 }
 
 impl Default for Guard {
@@ -107,8 +128,25 @@ impl Default for Guard {
 /// The default is what a robot wants that goes on for years: trees, which stay sparse however often
 /// one removes (a dense clique grows with each removal near it), generic linear constraints, which
 /// exist for every type and rank, and the gradient kept, so that removal moves nothing.
+///
+/// Options can be read from partial data; a name that is no field is refused.
+///
+/// ```
+/// use evergraph_removal::{Guard, Options, Recovery};
+///
+/// let options = Options::dense()
+///     .with_recovery(Recovery::Nonlinear)
+///     .with_guard(Guard::default().with_rotation(0.5));
+/// let read: Options = serde_json::from_str(
+///     r#"{"topology": "dense", "recovery": "nonlinear", "guard": {"rotation": 0.5}}"#,
+/// )?;
+/// assert_eq!(read, options);
+/// assert!(serde_json::from_str::<Options>(r#"{"topolgy": "dense"}"#).is_err());
+/// # Ok::<(), serde_json::Error>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
+#[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct Options {
     /// Default [`Topology::ChowLiu`].
     pub topology: Topology,
@@ -190,5 +228,103 @@ impl Options {
             rank: Rank::Absolute(1e-8),
             ..Self::default()
         }
+    }
+
+    /// Refuses values without meaning.
+    pub(crate) fn check(&self) -> Result<(), RemovalError> {
+        let refuse =
+            |option, value, expected| Err(RemovalError::Option { option, value, expected });
+        if !(0.0..=1.0).contains(&self.least_weight) {
+            return refuse("least_weight", self.least_weight, "from 0 to 1");
+        }
+        if (self.topology, self.recovery) == (Topology::Dense, Recovery::Composition) {
+            return Err(RemovalError::DenseComposition);
+        }
+        if self.linear_within.is_nan() || self.linear_within < 0.0 {
+            return refuse("linear_within", self.linear_within, "not negative");
+        }
+        let guard = &self.guard;
+        for (option, value) in
+            [("guard.rotation", guard.rotation), ("guard.mahalanobis", guard.mahalanobis)]
+        {
+            if value.is_nan() || value <= 0.0 {
+                return refuse(option, value, "positive; infinity switches it off");
+            }
+        }
+        match self.rank {
+            Rank::Absolute(tolerance) if !(tolerance >= 0.0 && tolerance.is_finite()) => {
+                refuse("rank", tolerance, "finite and not negative")
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Each field can be set in a chain that starts at a named set of options.
+impl Options {
+    /// Sets [`topology`](Self::topology).
+    #[must_use]
+    pub fn with_topology(self, topology: Topology) -> Self {
+        Self { topology, ..self }
+    }
+
+    /// Sets [`recovery`](Self::recovery).
+    #[must_use]
+    pub fn with_recovery(self, recovery: Recovery) -> Self {
+        Self { recovery, ..self }
+    }
+
+    /// Sets [`offset`](Self::offset).
+    #[must_use]
+    pub fn with_offset(self, offset: Offset) -> Self {
+        Self { offset, ..self }
+    }
+
+    /// Sets [`root_shift`](Self::root_shift).
+    #[must_use]
+    pub fn with_root_shift(self, root_shift: RootShift) -> Self {
+        Self { root_shift, ..self }
+    }
+
+    /// Sets [`mutual_information`](Self::mutual_information).
+    #[must_use]
+    pub fn with_mutual_information(self, mutual_information: MutualInformation) -> Self {
+        Self { mutual_information, ..self }
+    }
+
+    /// Sets [`rank`](Self::rank).
+    #[must_use]
+    pub fn with_rank(self, rank: Rank) -> Self {
+        Self { rank, ..self }
+    }
+
+    /// Sets [`intra_clique`](Self::intra_clique).
+    #[must_use]
+    pub fn with_intra_clique(self, intra_clique: bool) -> Self {
+        Self { intra_clique, ..self }
+    }
+
+    /// Sets [`least_weight`](Self::least_weight).
+    #[must_use]
+    pub fn with_least_weight(self, least_weight: f64) -> Self {
+        Self { least_weight, ..self }
+    }
+
+    /// Sets [`guard`](Self::guard).
+    #[must_use]
+    pub fn with_guard(self, guard: Guard) -> Self {
+        Self { guard, ..self }
+    }
+
+    /// Sets [`linear_within`](Self::linear_within).
+    #[must_use]
+    pub fn with_linear_within(self, linear_within: f64) -> Self {
+        Self { linear_within, ..self }
+    }
+
+    /// Sets [`largest_blanket`](Self::largest_blanket).
+    #[must_use]
+    pub fn with_largest_blanket(self, largest_blanket: usize) -> Self {
+        Self { largest_blanket, ..self }
     }
 }

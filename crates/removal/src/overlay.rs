@@ -3,63 +3,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use evergraph_model::{Factor, FactorId, Graph, GraphError, Value, Values, VariableId};
+use evergraph_model::belief::{Estimates, LinearizedEstimate};
+use evergraph_model::{Factor, FactorId, Graph, GraphError, Value, VariableId};
 use nalgebra::DVector;
 
 use crate::error::RemovalError;
-use crate::neighborhood::Member;
-
-/// Where estimates come from: a [`Smoother`](evergraph_solver::Smoother), which computes those that
-/// are asked for, its [`Estimates`](evergraph_solver::Estimates) of everybody, [`Values`], or a
-/// closure.
-pub trait Estimates {
-    /// The estimate of a variable.
-    ///
-    /// # Errors
-    /// [`GraphError`] when there is none.
-    fn estimate(&self, variable: VariableId) -> Result<Value, GraphError>;
-
-    /// The estimates of some variables, in their order: where they share work, at once.
-    ///
-    /// # Errors
-    /// [`GraphError`] when there is none for one of them.
-    fn estimates_of(&self, variables: &[VariableId]) -> Result<Vec<Value>, GraphError> {
-        variables.iter().map(|&variable| self.estimate(variable)).collect()
-    }
-
-    /// The estimates of some variables, in their order, as steps from the points that their factors are
-    /// linearized at; `None` where such points are not known, as by default. With them a removal near
-    /// the linearization points stays in the linear model that is solved
-    /// ([`Options::linear_within`](crate::Options::linear_within)).
-    ///
-    /// # Errors
-    /// [`GraphError`] when there is none for one of them.
-    fn linearized(&self, variables: &[VariableId]) -> Result<Option<Vec<Linearized>>, GraphError> {
-        let _ = variables;
-        Ok(None)
-    }
-}
-
-/// An estimate, as a step from the point that the variable's factors are linearized at.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Linearized {
-    /// The linearization point.
-    pub point: Value,
-    /// The step δ in the tangent at the point.
-    pub delta: Vec<f64>,
-}
-
-impl Estimates for Values {
-    fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
-        self.value(variable).map(|value| value.to_value())
-    }
-}
-
-impl<F: Fn(VariableId) -> Result<Value, GraphError>> Estimates for F {
-    fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
-        self(variable)
-    }
-}
+use crate::member::Member;
+use crate::motion::pose_of;
 
 /// A factor of the graph, or one that an earlier step of the same plan adds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -79,6 +29,14 @@ impl std::fmt::Display for Source {
     }
 }
 
+/// A factor that a step has planned.
+#[derive(Clone, Debug)]
+pub(crate) struct Added {
+    pub(crate) factor: Arc<dyn Factor>,
+    /// Whether a later step has replaced it.
+    pub(crate) is_absorbed: bool,
+}
+
 /// A graph with its estimates, less what planned steps take out, plus what they put in. Later steps
 /// read it as if the earlier ones had been applied.
 #[derive(Clone)]
@@ -86,21 +44,17 @@ pub(crate) struct Overlay<'a> {
     pub(crate) graph: &'a Graph,
     estimates: &'a dyn Estimates,
     removed: BTreeSet<VariableId>,
-    dropped: BTreeSet<FactorId>,
-    /// New factors in the order they were planned; `None` once a later step has absorbed them.
-    added: Vec<Option<Arc<dyn Factor>>>,
+    /// Slots of the graph's factors that are absorbed.
+    dropped: BTreeSet<usize>,
+    /// New factors in the order in which they were planned.
+    added: Vec<Added>,
     added_on: BTreeMap<VariableId, Vec<usize>>,
-    poses: usize,
     /// Factors that stay while they are on kept variables only.
-    spared: &'a [FactorId],
+    spared: BTreeSet<FactorId>,
 }
 
 impl<'a> Overlay<'a> {
-    pub(crate) fn new(
-        graph: &'a Graph,
-        estimates: &'a dyn Estimates,
-        spared: &'a [FactorId],
-    ) -> Self {
+    pub(crate) fn new(graph: &'a Graph, estimates: &'a dyn Estimates, spared: &[FactorId]) -> Self {
         Self {
             graph,
             estimates,
@@ -108,11 +62,7 @@ impl<'a> Overlay<'a> {
             dropped: BTreeSet::new(),
             added: Vec::new(),
             added_on: BTreeMap::new(),
-            poses: graph
-                .variable_indices()
-                .filter(|&v| crate::motion::pose_of(graph.kind_at(v)).is_some())
-                .count(),
-            spared,
+            spared: spared.iter().copied().collect(),
         }
     }
 
@@ -120,9 +70,35 @@ impl<'a> Overlay<'a> {
         matches!(source, Source::Graph(id) if self.spared.contains(&id))
     }
 
-    /// How many poses are left.
-    pub(crate) fn poses(&self) -> usize {
-        self.poses
+    /// The slot of a variable: orders that decide arithmetic are by slot, whatever the ids are.
+    pub(crate) fn slot(&self, variable: VariableId) -> usize {
+        variable.index()
+    }
+
+    /// Tangent dimensions of some variables.
+    pub(crate) fn dims(&self, variables: &[VariableId]) -> Vec<usize> {
+        variables.iter().map(|id| self.graph.dim_at(id.index())).collect()
+    }
+
+    fn is_pose(&self, variable: VariableId) -> bool {
+        pose_of(self.graph.kind_at(variable.index())).is_some()
+    }
+
+    /// Refuses to take the last poses of a graph out. A pose of `blanket`, the variables beside the removed ones, is
+    /// proof enough; only without one are other poses looked for in the whole graph.
+    pub(crate) fn check_last_pose(
+        &self,
+        removed: &[VariableId],
+        blanket: &[VariableId],
+    ) -> Result<(), RemovalError> {
+        let Some(&variable) = removed.iter().find(|&&id| self.is_pose(id)) else { return Ok(()) };
+        let stays = |id: VariableId| {
+            self.is_pose(id) && !self.removed.contains(&id) && !removed.contains(&id)
+        };
+        if blanket.iter().any(|&id| stays(id)) || self.graph.variables().any(stays) {
+            return Ok(());
+        }
+        Err(RemovalError::LastPose { variable })
     }
 
     pub(crate) fn check(&self, variable: VariableId) -> Result<(), RemovalError> {
@@ -156,20 +132,21 @@ impl<'a> Overlay<'a> {
             return variables.iter().zip(values).map(member).collect();
         };
         count(found.len())?;
-        let member = |(&id, Linearized { point, delta }): (&VariableId, Linearized)| {
-            let value = self.checked(id, point)?;
-            if delta.len() != value.dim() {
-                let (actual, dim) = (value.kind().name(), delta.len());
-                return Err(RemovalError::EstimateMismatch { variable: id, actual, dim });
-            }
-            if delta.iter().all(|x| x.is_finite() && x.abs() <= linear_within) {
-                return Ok(Member { id, value, delta: DVector::from_vec(delta) });
-            }
-            let mut estimate = value.storage().to_vec();
-            value.kind().retract(value.storage(), &delta, &mut estimate);
-            let estimate = self.graph.value(id.index(), &estimate);
-            Ok(Member::at(id, self.checked(id, estimate)?))
-        };
+        let member =
+            |(&id, LinearizedEstimate { point, delta }): (&VariableId, LinearizedEstimate)| {
+                let value = self.checked(id, point)?;
+                if delta.len() != value.dim() {
+                    let (actual, dim) = (value.kind().name(), delta.len());
+                    return Err(RemovalError::EstimateMismatch { variable: id, actual, dim });
+                }
+                if delta.iter().all(|x| x.is_finite() && x.abs() <= linear_within) {
+                    return Ok(Member { id, value, delta: DVector::from_vec(delta) });
+                }
+                let mut estimate = value.storage().to_vec();
+                value.kind().retract(value.storage(), &delta, &mut estimate);
+                let estimate = self.graph.value(id.index(), &estimate);
+                Ok(Member::at(id, self.checked(id, estimate)?))
+            };
         variables.iter().zip(found).map(member).collect()
     }
 
@@ -195,13 +172,12 @@ impl<'a> Overlay<'a> {
         variable: VariableId,
     ) -> impl Iterator<Item = (Source, &dyn Factor)> {
         let old = self.graph.factors_at(variable.index()).iter().filter_map(|&f| {
-            let id = self.graph.factor_id(f as usize);
-            let stays = self.dropped.is_empty() || !self.dropped.contains(&id);
-            stays.then(|| (Source::Graph(id), self.graph.factor_at(f as usize)))
+            let slot = f as usize;
+            let stays = !self.dropped.contains(&slot);
+            stays.then(|| (Source::Graph(self.graph.factor_id(slot)), self.graph.factor_at(slot)))
         });
         let new = self.added_on.get(&variable).into_iter().flatten();
-        let new = new.filter_map(|&k| Some((Source::Planned(k), &**self.added[k].as_ref()?)));
-        old.chain(new)
+        old.chain(new.map(|&k| (Source::Planned(k), &*self.added[k].factor)))
     }
 
     /// Whether a way over factors of the graph, through removed variables, leads from `start` to a
@@ -227,9 +203,13 @@ impl<'a> Overlay<'a> {
     /// The factor, unless a step has taken it out.
     pub(crate) fn factor(&self, source: Source) -> Option<&dyn Factor> {
         match source {
-            Source::Graph(id) if self.dropped.contains(&id) => None,
-            Source::Graph(id) => self.graph.factor(id).ok().map(|factor| &**factor),
-            Source::Planned(k) => self.added.get(k)?.as_deref(),
+            Source::Graph(id) => {
+                let factor = self.graph.factor(id).ok()?;
+                (!self.dropped.contains(&id.index())).then_some(&**factor)
+            }
+            Source::Planned(k) => {
+                self.added.get(k).filter(|added| !added.is_absorbed).map(|added| &*added.factor)
+            }
         }
     }
 
@@ -244,14 +224,13 @@ impl<'a> Overlay<'a> {
         for source in dropped {
             match source {
                 Source::Graph(id) => {
-                    self.dropped.insert(id);
+                    self.dropped.insert(id.index());
                 }
                 Source::Planned(k) => {
-                    if let Some(factor) = self.added[k].take() {
-                        for key in factor.keys() {
-                            if let Some(list) = self.added_on.get_mut(key) {
-                                list.retain(|&other| other != k);
-                            }
+                    self.added[k].is_absorbed = true;
+                    for key in self.added[k].factor.keys() {
+                        if let Some(list) = self.added_on.get_mut(key) {
+                            list.retain(|&other| other != k);
                         }
                     }
                 }
@@ -260,26 +239,24 @@ impl<'a> Overlay<'a> {
         for &variable in removed {
             self.removed.insert(variable);
             self.added_on.remove(&variable);
-            let pose = crate::motion::pose_of(self.graph.kind_at(variable.index())).is_some();
-            self.poses -= usize::from(pose);
         }
         let first = self.added.len();
         for factor in new {
             for &key in factor.keys() {
                 self.added_on.entry(key).or_default().push(self.added.len());
             }
-            self.added.push(Some(Arc::clone(factor)));
+            self.added.push(Added { factor: Arc::clone(factor), is_absorbed: false });
         }
         first
     }
 
-    /// What is to be dropped from the graph, ascending.
+    /// The graph's factors that are absorbed, by slot.
     pub(crate) fn dropped(&self) -> impl Iterator<Item = FactorId> {
-        self.dropped.iter().copied()
+        self.dropped.iter().map(|&slot| self.graph.factor_id(slot))
     }
 
-    /// The new factors that no later step has absorbed, in the order they were planned.
-    pub(crate) fn surviving(&self) -> impl Iterator<Item = &Arc<dyn Factor>> {
-        self.added.iter().flatten()
+    /// All factors that steps have planned, in that order.
+    pub(crate) fn into_added(self) -> Vec<Added> {
+        self.added
     }
 }

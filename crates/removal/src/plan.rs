@@ -1,31 +1,43 @@
 //! Plans: a change, and what it costs.
 
-use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use evergraph_model::{Change, FactorId, Graph, GraphError, VariableId};
+use evergraph_model::belief::Estimates;
+use evergraph_model::{Change, Factor, FactorId, GraphError, VariableId};
 
 use crate::error::RemovalError;
-use crate::many;
-use crate::neighborhood::{Member, check_last_pose};
-use crate::options::{Options, Rank, Recovery, Topology};
-use crate::order::Order;
-use crate::overlay::{Estimates, Overlay};
-use crate::price::{Covariance, Ledger};
-use crate::step::{Draft, Step};
+use crate::member::Member;
+use crate::overlay::{Overlay, Source};
+use crate::step::Step;
+use crate::work::Done;
 
-/// A removal that has been planned by reading only; [`change`](Self::change) does it.
+/// A removal that has been planned by reading only; applying [`change`](Self::change) does it.
 ///
-/// The change drops the nodes and the factors that are absorbed, and adds the new ones; it moves no
-/// linearization point, since that is for the smoother to do, for all that moved together. It requires the
-/// versions of all variables that were read, so that it is refused as stale when one of them, or a
-/// factor on one of them, has changed since. Estimates that move and points that the smoother
-/// relinearizes do not make it stale; [`drift`](Self::drift) tells of them.
+/// The change drops the nodes and the factors that are absorbed, and adds the new ones. It moves no linearization point:
+/// points have to be moved together with all others that moved, which is the smoother's task.
+///
+/// The change requires the versions of all variables that were read. It is refused as stale when one of them, or a factor
+/// on one of them, has changed since. Estimates that move and points that the smoother relinearizes do not make it stale;
+/// [`drift`](Self::drift) measures them.
 #[derive(Clone, Debug)]
+#[must_use = "a plan alters nothing until its change is applied"]
 pub struct Plan {
     change: Change,
     steps: Vec<Step>,
-    /// The blankets as they were seen.
-    seen: BTreeMap<VariableId, Member>,
+    /// The kept members of the blankets as they were read, by slot.
+    seen: Vec<Member>,
+    dropped: Vec<(FactorId, Arc<dyn Factor>)>,
+    planned: Vec<PlannedFactor>,
+}
+
+/// A factor that a step of a plan makes.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct PlannedFactor {
+    /// The factor.
+    pub factor: Arc<dyn Factor>,
+    /// Its id in the plan's change; `None` when a later step of the plan absorbs it.
+    pub id: Option<FactorId>,
 }
 
 impl Plan {
@@ -35,16 +47,17 @@ impl Plan {
     }
 
     /// The change to apply, owned.
+    #[must_use = "the change does nothing until it is applied"]
     pub fn into_change(self) -> Change {
         self.change
     }
 
-    /// What is done, in order.
+    /// The steps, in the order in which they are done.
     pub fn steps(&self) -> &[Step] {
         &self.steps
     }
 
-    /// All variables that go.
+    /// All variables that are removed.
     pub fn removed(&self) -> impl Iterator<Item = VariableId> {
         self.steps.iter().flat_map(|step| step.removed.iter().copied())
     }
@@ -69,19 +82,45 @@ impl Plan {
         self.steps.iter().map(|step| step.degrees_of_freedom).sum()
     }
 
-    /// How far the estimate of a variable of the blankets has moved since the plan was made: the
-    /// largest component of the tangent, in metres or radians. A version does not tell, because
-    /// estimates move with measurements far away too.
+    /// The factors of the graph that the change drops, by slot: those absorbed and those rejected.
+    pub fn dropped(&self) -> &[(FactorId, Arc<dyn Factor>)] {
+        &self.dropped
+    }
+
+    /// All factors that the steps make, also those that a later step absorbs. Places are the numbers in
+    /// [`Source::Planned`].
+    pub fn planned(&self) -> &[PlannedFactor] {
+        &self.planned
+    }
+
+    /// The factor behind an entry of [`Step::absorbed`] or [`Step::rejected`]; `None` for a source of another plan.
+    pub fn factor(&self, source: Source) -> Option<&Arc<dyn Factor>> {
+        match source {
+            Source::Graph(id) => {
+                self.dropped.iter().find(|(dropped, _)| *dropped == id).map(|(_, factor)| factor)
+            }
+            Source::Planned(number) => self.planned.get(number).map(|planned| &planned.factor),
+        }
+    }
+
+    /// The largest distance between the estimate of a variable of the blankets now and when the plan was made: the
+    /// largest component of the tangent, in metres or radians. Versions do not show it, because estimates move with
+    /// measurements far away too.
     ///
     /// # Errors
     /// [`GraphError`] when a variable has no estimate any more.
     pub fn drift(&self, estimates: &dyn Estimates) -> Result<f64, GraphError> {
-        let now = estimates.estimates_of(&self.seen.keys().copied().collect::<Vec<_>>())?;
+        let variables: Vec<VariableId> = self.seen.iter().map(|member| member.id).collect();
+        let now = estimates.estimates_of(&variables)?;
         let mut largest = 0.0_f64;
-        for (member, now) in self.seen.values().zip(now) {
-            let mut local = vec![0.0; member.value.dim()];
-            member.value.kind().local(&member.estimate(), now.storage(), &mut local);
-            // `max` would take a NaN for nothing.
+        for (member, now) in self.seen.iter().zip(now) {
+            let (kind, dim) = (member.value.kind(), member.value.dim());
+            if kind != now.kind() || dim != now.dim() {
+                return Ok(f64::INFINITY);
+            }
+            let mut local = vec![0.0; dim];
+            kind.local(&member.estimate(), now.storage(), &mut local);
+            // `max` would ignore a NaN.
             let step = local.iter().map(|x| if x.is_nan() { f64::INFINITY } else { x.abs() });
             largest = step.fold(largest, f64::max);
         }
@@ -89,230 +128,33 @@ impl Plan {
     }
 
     /// One change for all that the steps have left in the overlay.
-    fn new(work: Work<'_, '_>) -> Result<Self, RemovalError> {
-        let Work { overlay, steps, mut seen, .. } = work;
+    pub(crate) fn new(overlay: Overlay<'_>, done: Done) -> Result<Self, RemovalError> {
+        let Done { steps, mut seen } = done;
         let graph = overlay.graph;
         let mut change = graph.change();
         let mut removed: Vec<VariableId> =
             steps.iter().flat_map(|step| &step.removed).copied().collect();
-        removed.sort_unstable();
-        seen.retain(|id, _| removed.binary_search(id).is_err());
-        for &variable in removed.iter().chain(seen.keys()) {
+        removed.sort_unstable_by_key(|&id| overlay.slot(id));
+        removed.iter().for_each(|id| drop(seen.remove(id)));
+        let mut seen: Vec<Member> = seen.into_values().collect();
+        seen.sort_unstable_by_key(|member| overlay.slot(member.id));
+        for variable in removed.iter().copied().chain(seen.iter().map(|member| member.id)) {
             change.require(variable, graph.version(variable)?);
         }
-        for factor in overlay.dropped() {
-            change.drop_factor(factor);
+        let mut dropped = Vec::new();
+        for id in overlay.dropped() {
+            dropped.push((id, Arc::clone(graph.factor(id)?)));
+            change.drop_factor(id);
         }
         for &variable in &removed {
             change.drop_variable(variable);
         }
-        for factor in overlay.surviving() {
-            change.add_shared_factor(std::sync::Arc::clone(factor));
+        let mut planned = Vec::new();
+        for added in overlay.into_added() {
+            let id =
+                (!added.is_absorbed).then(|| change.add_shared_factor(Arc::clone(&added.factor)));
+            planned.push(PlannedFactor { factor: added.factor, id });
         }
-        Ok(Self { change, steps, seen })
-    }
-}
-
-/// Plans removals from a graph at an estimate.
-///
-/// ```
-/// # use evergraph_factors::{BetweenPose2, Prior};
-/// # use evergraph_model::{Noise, Pose2};
-/// # use evergraph_removal::Removal;
-/// # use evergraph_solver::{Settings, Smoother};
-/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-/// # let mut smoother = Smoother::new(Settings::default())?;
-/// # let noise = Noise::from_sigmas(&[0.1, 0.1, 0.02])?;
-/// # let mut change = smoother.change();
-/// # let mut last = change.add_variable(&Pose2::new(0.0, 0.0, 0.0));
-/// # change.add_factor(Prior::new(last, Pose2::new(0.0, 0.0, 0.0), noise.clone())?);
-/// # let mut middle = last;
-/// # for k in 1..4 {
-/// #     let next = change.add_variable(&Pose2::new(f64::from(k), 0.0, 0.0));
-/// #     let z = Pose2::new(1.0, 0.0, 0.1);
-/// #     change.add_factor(BetweenPose2::new(last, next, z, noise.clone())?);
-/// #     if k == 2 { middle = next; }
-/// #     last = next;
-/// # }
-/// # smoother.apply(change)?;
-/// let plan = Removal::new(smoother.graph(), &smoother)
-///     .priced_by(&mut smoother.covariances())
-///     .plan(middle)?;
-/// assert_eq!(plan.steps()[0].blanket.len(), 2);
-/// assert!(plan.price().is_some_and(|nats| nats < 1e-6));
-/// smoother.apply(plan.into_change())?;
-/// assert_eq!(smoother.graph().variable_count(), 3);
-/// # Ok(())
-/// # }
-/// ```
-pub struct Removal<'a> {
-    graph: &'a Graph,
-    estimates: &'a dyn Estimates,
-    options: Options,
-    covariance: Option<&'a mut dyn Covariance>,
-    spared: &'a [FactorId],
-}
-
-impl std::fmt::Debug for Removal<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let priced = self.covariance.is_some();
-        f.debug_struct("Removal").field("options", &self.options).field("priced", &priced).finish()
-    }
-}
-
-impl<'a> Removal<'a> {
-    /// With default [`Options`] and without prices. `estimates` are those of a fully
-    /// back-substituted solution.
-    pub fn new(graph: &'a Graph, estimates: &'a dyn Estimates) -> Self {
-        Self { graph, estimates, options: Options::default(), covariance: None, spared: &[] }
-    }
-
-    /// Sets the options.
-    #[must_use]
-    pub fn with_options(mut self, options: Options) -> Self {
-        self.options = options;
-        self
-    }
-
-    /// Leaves some factors alone as long as all of their variables stay, such as the prior that holds
-    /// the gauge: absorbed, it would make what is relative around it absolute, and no longer be told
-    /// from what was measured. What is known stays the same either way.
-    #[must_use]
-    pub fn sparing(mut self, factors: &'a [FactorId]) -> Self {
-        self.spared = factors;
-        self
-    }
-
-    /// Prices every step by joint covariances of the graph as it is.
-    #[must_use]
-    pub fn priced_by(mut self, covariance: &'a mut dyn Covariance) -> Self {
-        self.covariance = Some(covariance);
-        self
-    }
-
-    /// Plans the removal of one node. O(n³) in the dimension of its neighborhood.
-    ///
-    /// # Errors
-    /// [`RemovalError`].
-    pub fn plan(&mut self, node: impl Into<VariableId>) -> Result<Plan, RemovalError> {
-        self.plan_many(&[node.into()], Order::Given)
-    }
-
-    /// Plans the removal of many nodes as one change.
-    ///
-    /// Trees go node by node in the given order: the neighborhood of a later node is that which the
-    /// steps before it leave. Dense removals take connected groups of nodes at once, one factor for
-    /// each group, because the result does not depend on the order and what is never added need not
-    /// be absorbed again: one by one, removing most of a graph makes blankets of hundreds of poses
-    /// on the way.
-    ///
-    /// # Errors
-    /// [`RemovalError`]; the plan stands or falls as a whole.
-    pub fn plan_many(&mut self, nodes: &[VariableId], order: Order) -> Result<Plan, RemovalError> {
-        check(&self.options)?;
-        let mut overlay = Overlay::new(self.graph, self.estimates, self.spared);
-        let mut sorted = nodes.to_vec();
-        sorted.sort_unstable();
-        for &node in nodes {
-            overlay.check(node)?;
-        }
-        if let Some(pair) = sorted.windows(2).find(|pair| pair[0] == pair[1]) {
-            return Err(RemovalError::Twice { variable: pair[0] });
-        }
-        if nodes.is_empty() {
-            return Err(RemovalError::Nothing);
-        }
-        let covariance = self.covariance.as_mut().map(|c| &mut **c as &mut dyn Covariance);
-        let mut work = Work {
-            overlay: &mut overlay,
-            options: &self.options,
-            covariance,
-            ledger: Ledger::default(),
-            steps: Vec::new(),
-            seen: BTreeMap::new(),
-        };
-        many::run(&mut work, nodes, order)?;
-        Plan::new(work)
-    }
-}
-
-/// A plan in the making.
-pub(crate) struct Work<'w, 'a> {
-    pub(crate) overlay: &'w mut Overlay<'a>,
-    pub(crate) options: &'w Options,
-    covariance: Option<&'w mut dyn Covariance>,
-    ledger: Ledger,
-    steps: Vec<Step>,
-    seen: BTreeMap<VariableId, Member>,
-}
-
-impl Work<'_, '_> {
-    /// Plans a step on what the steps before it have left, and prices it if that can be done.
-    pub(crate) fn draft(&mut self, removed: &[VariableId]) -> Result<Draft, RemovalError> {
-        let mut draft = Draft::of(self.overlay, removed, self.options)?;
-        if draft.step.blanket.is_empty() {
-            // Nothing that is kept depends on it.
-            draft.step.price = self.covariance.as_ref().map(|_| 0.0);
-        } else if let Some(covariance) = self.covariance.as_deref_mut() {
-            let blanket = &draft.step.blanket;
-            let dims: Vec<usize> =
-                blanket.iter().map(|id| self.overlay.graph.dim_at(id.index())).collect();
-            let sigma = self.ledger.covariance(covariance, blanket, &dims)?;
-            let price =
-                crate::price::divergence(&sigma, &draft.before, &draft.after, &draft.gradient);
-            draft.step.price = Some(price.ok_or_else(|| RemovalError::Covariance {
-                variables: blanket.clone(),
-                reason: "it is not positive definite, or too large".into(),
-            })?);
-        }
-        Ok(draft)
-    }
-
-    /// Makes a step part of the plan.
-    pub(crate) fn take(&mut self, draft: Draft) -> Result<(), RemovalError> {
-        // It may have been drafted when there were others.
-        check_last_pose(self.overlay, &draft.step.removed)?;
-        let Draft { mut step, factors, before, after, seen, .. } = draft;
-        self.seen.extend(seen.into_iter().map(|member| (member.id, member)));
-        let dropped = step.absorbed.iter().chain(&step.rejected).copied();
-        step.first_new = self.overlay.apply(&step.removed, dropped, &factors);
-        if self.covariance.is_some() {
-            let dims =
-                step.blanket.iter().map(|id| self.overlay.graph.dim_at(id.index())).collect();
-            self.ledger.note(step.blanket.clone(), dims, before, after);
-        }
-        self.steps.push(step);
-        Ok(())
-    }
-
-    pub(crate) fn is_priced(&self) -> bool {
-        self.covariance.is_some()
-    }
-}
-
-fn check(options: &Options) -> Result<(), RemovalError> {
-    let refuse = |option, value, expected| Err(RemovalError::Option { option, value, expected });
-    if !(0.0..=1.0).contains(&options.least_weight) {
-        return refuse("least_weight", options.least_weight, "from 0 to 1");
-    }
-    if (options.topology, options.recovery) == (Topology::Dense, Recovery::Composition) {
-        return Err(RemovalError::DenseComposition);
-    }
-    if options.linear_within.is_nan() || options.linear_within < 0.0 {
-        return refuse("linear_within", options.linear_within, "not negative");
-    }
-    let guard = &options.guard;
-    for (option, value) in
-        [("guard.rotation", guard.rotation), ("guard.mahalanobis", guard.mahalanobis)]
-    {
-        if value.is_nan() || value <= 0.0 {
-            return refuse(option, value, "positive; infinity switches it off");
-        }
-    }
-    match options.rank {
-        Rank::Absolute(tolerance) if !(tolerance >= 0.0 && tolerance.is_finite()) => {
-            refuse("rank", tolerance, "finite and not negative")
-        }
-        _ => Ok(()),
+        Ok(Self { change, steps, seen, dropped, planned })
     }
 }

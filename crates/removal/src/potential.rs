@@ -8,7 +8,7 @@ use smallvec::{SmallVec, smallvec};
 use crate::covariance::{CovarianceRoot, information_root};
 use crate::motion::{carried, pose_of};
 use crate::options::Recovery;
-use crate::qr::{back_substitute, echelon, forward_substitute};
+use crate::rank_qr::{back_substitute, echelon, forward_substitute};
 use crate::target::Target;
 use crate::topology::Tree;
 
@@ -29,8 +29,8 @@ impl Potential {
     pub(crate) fn dense(target: &Target) -> Vec<Self> {
         // The first pose is the root of a root shift; a held one, whose column then vanishes, is
         // that already.
-        let root = (target.held.iter().flatten().copied().next()).or_else(|| {
-            let is_pose = |m: &crate::neighborhood::Member| pose_of(m.value.kind()).is_some();
+        let root = target.held().next().or_else(|| {
+            let is_pose = |m: &crate::member::Member| pose_of(m.value.kind()).is_some();
             target.members.iter().position(is_pose)
         });
         let others = (0..target.members.len()).filter(|&k| Some(k) != root);
@@ -233,7 +233,7 @@ impl Sum {
         // Every vector of null(Λ_t) is in the null space of each marginal, so null(Λ') contains it;
         // the two are equal when the ranks are. Columns of held poses depend on the others.
         let mut root = rows.clone();
-        for &held in target.held.iter().flatten() {
+        for held in target.held() {
             root.columns_range_mut(target.columns(held)).fill(0.0);
         }
         let pivots = echelon(&mut root, target.dim(), &target.scales);

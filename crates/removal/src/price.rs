@@ -1,54 +1,10 @@
 //! What a removal costs.
 
 use evergraph_model::VariableId;
+use evergraph_model::belief::{BeliefError, Covariance, checked_joint};
 use nalgebra::{DMatrix, DVector};
 
-use crate::error::RemovalError;
-use crate::qr::triangle;
-
-/// Joint covariances of the full graph at the estimate, for example those of the clique tree
-/// ([`Covariances`](evergraph_solver::Covariances)). Closures
-/// `FnMut(&[VariableId]) -> Result<DMatrix<f64>, E>` are covariances.
-///
-/// A smoother's come from its linearization points: prices are exact where the removal is done in the
-/// linear model around these ([`Options::linear_within`](crate::Options::linear_within)), as right after a
-/// batch step, and off by what variables have moved relative to each other since otherwise. A motion that poses have in common changes nothing, because their tangents move along;
-/// carrying the covariances over by the derivative of `Local` would turn them against each other.
-pub trait Covariance {
-    /// The joint covariance of `variables`, in that order, each in the order of its tangent.
-    ///
-    /// # Errors
-    /// Whatever keeps it from being had, in words.
-    fn joint(&mut self, variables: &[VariableId]) -> Result<DMatrix<f64>, String>;
-}
-
-impl<F, E> Covariance for F
-where
-    F: FnMut(&[VariableId]) -> Result<DMatrix<f64>, E>,
-    E: std::fmt::Display,
-{
-    fn joint(&mut self, variables: &[VariableId]) -> Result<DMatrix<f64>, String> {
-        self(variables).map_err(|error| error.to_string())
-    }
-}
-
-/// The joint covariance, with its shape and numbers checked.
-pub(crate) fn joint(
-    covariance: &mut dyn Covariance,
-    variables: &[VariableId],
-    dim: usize,
-) -> Result<DMatrix<f64>, RemovalError> {
-    let refused = |reason| RemovalError::Covariance { variables: variables.to_vec(), reason };
-    let sigma = covariance.joint(variables).map_err(refused)?;
-    if sigma.shape() != (dim, dim) {
-        let (rows, columns) = sigma.shape();
-        return Err(refused(format!("it is {rows} by {columns} where {dim} by {dim} is needed")));
-    }
-    if sigma.iter().any(|x| !x.is_finite()) {
-        return Err(refused("it has entries that are not finite".into()));
-    }
-    Ok(sigma)
-}
+use crate::rank_qr::triangle;
 
 /// The Kullback-Leibler divergence, in nats, of the map after the replacement from the map before.
 ///
@@ -142,7 +98,7 @@ impl Ledger {
         covariance: &mut dyn Covariance,
         variables: &[VariableId],
         dims: &[usize],
-    ) -> Result<DMatrix<f64>, RemovalError> {
+    ) -> Result<DMatrix<f64>, BeliefError> {
         let near: Vec<&Changed> = self
             .changes
             .iter()
@@ -164,7 +120,7 @@ impl Ledger {
             }))
             .collect();
         let n = starts[all.len()];
-        let sigma = joint(covariance, &all, n)?;
+        let sigma = checked_joint(covariance, &all, n)?;
         let dim: usize = dims.iter().sum();
         let own = || sigma.view((0, 0), (dim, dim)).into_owned();
         if near.is_empty() {

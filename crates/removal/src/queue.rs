@@ -3,22 +3,26 @@
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 
-use evergraph_model::VariableId;
-
 use crate::options::Topology;
 use crate::step::Step;
 
 /// [`Order::MinDegree`](crate::Order::MinDegree): the node with the smallest Markov blanket first,
-/// ties by id.
-#[derive(Clone, Debug, Default)]
-pub struct DegreeQueue {
-    queue: BTreeSet<(usize, VariableId)>,
-    degrees: BTreeMap<VariableId, usize>,
+/// ties by the order of nodes.
+#[derive(Clone, Debug)]
+pub(crate) struct DegreeQueue<N> {
+    queue: BTreeSet<(usize, N)>,
+    degrees: BTreeMap<N, usize>,
 }
 
-impl DegreeQueue {
-    /// Adds a node, or tells its new degree. O(log n).
-    pub fn insert(&mut self, node: VariableId, degree: usize) {
+impl<N> Default for DegreeQueue<N> {
+    fn default() -> Self {
+        Self { queue: BTreeSet::new(), degrees: BTreeMap::new() }
+    }
+}
+
+impl<N: Copy + Ord> DegreeQueue<N> {
+    /// Adds a node, or changes its degree. O(log n).
+    pub(crate) fn insert(&mut self, node: N, degree: usize) {
         if let Some(known) = self.degrees.insert(node, degree) {
             self.queue.remove(&(known, node));
         }
@@ -26,12 +30,12 @@ impl DegreeQueue {
     }
 
     /// Whether a node waits.
-    pub fn contains(&self, node: VariableId) -> bool {
+    pub(crate) fn contains(&self, node: N) -> bool {
         self.degrees.contains_key(&node)
     }
 
     /// Takes the next node. O(log n).
-    pub fn pop(&mut self) -> Option<VariableId> {
+    pub(crate) fn pop(&mut self) -> Option<N> {
         let (_, node) = self.queue.pop_first()?;
         self.degrees.remove(&node);
         Some(node)
@@ -71,7 +75,7 @@ impl Loss {
     }
 }
 
-/// [`Order::MinLoss`](crate::Order::MinLoss): the node whose removal costs least first, ties by id.
+/// [`Order::MinLoss`](crate::Order::MinLoss): the node whose removal costs least first, ties by the order of nodes.
 ///
 /// A removal changes all other prices a little, and those of its blanket much. So
 ///
@@ -83,11 +87,17 @@ impl Loss {
 ///
 /// Prices of other nodes, also of those that only share neighbours with a removed one, are lower or
 /// higher than they say until it is their turn.
-#[derive(Clone, Debug, Default)]
-pub struct LossQueue {
-    nodes: BTreeMap<VariableId, Waiting>,
+#[derive(Clone, Debug)]
+pub(crate) struct LossQueue<N> {
+    nodes: BTreeMap<N, Waiting>,
     /// How many nodes have gone.
     gone: usize,
+}
+
+impl<N> Default for LossQueue<N> {
+    fn default() -> Self {
+        Self { nodes: BTreeMap::new(), gone: 0 }
+    }
 }
 
 /// Part of a neighborhood that changes before it is priced again out of turn.
@@ -102,9 +112,9 @@ struct Waiting {
     changes: usize,
 }
 
-impl LossQueue {
+impl<N: Copy + Ord> LossQueue<N> {
     /// Adds a node with its loss.
-    pub fn insert(&mut self, node: VariableId, loss: Loss) {
+    pub(crate) fn insert(&mut self, node: N, loss: Loss) {
         self.nodes.insert(node, Waiting { loss, priced_at: self.gone, changes: 0 });
     }
 
@@ -113,10 +123,10 @@ impl LossQueue {
     ///
     /// # Errors
     /// Those of `price`; the queue is then as good as before.
-    pub fn pop<E>(
+    pub(crate) fn pop<E>(
         &mut self,
-        mut price: impl FnMut(VariableId) -> Result<Loss, E>,
-    ) -> Result<Option<(VariableId, Loss)>, E> {
+        mut price: impl FnMut(N) -> Result<Loss, E>,
+    ) -> Result<Option<(N, Loss)>, E> {
         while let Some((&node, waiting)) = self.nodes.iter().min_by(|a, b| a.1.loss.cmp(&b.1.loss))
         {
             if waiting.priced_at == self.gone {
@@ -134,10 +144,10 @@ impl LossQueue {
     ///
     /// # Errors
     /// Those of `price`; what was not priced is left as it was.
-    pub fn removed<E>(
+    pub(crate) fn removed<E>(
         &mut self,
-        touched: &[VariableId],
-        mut price: impl FnMut(VariableId) -> Result<Loss, E>,
+        touched: &[N],
+        mut price: impl FnMut(N) -> Result<Loss, E>,
     ) -> Result<(), E> {
         self.gone += 1;
         for &node in touched {
@@ -156,14 +166,10 @@ impl LossQueue {
 mod tests {
     use std::convert::Infallible;
 
-    use evergraph_model::{Graph, Point2, Value};
-
     use super::*;
 
-    fn nodes(count: usize) -> Vec<VariableId> {
-        let mut change = Graph::new().change();
-        let value = || Value::new(&Point2::new(0.0, 0.0));
-        (0..count).map(|_| change.add_value(value())).collect()
+    fn nodes(count: usize) -> Vec<usize> {
+        (0..count).collect()
     }
 
     fn loss(price: f64) -> Loss {
@@ -189,9 +195,9 @@ mod tests {
         let mut now = [0.0, 1.0, 3.0, 2.0];
         all.iter().zip(now).for_each(|(&node, price)| queue.insert(node, loss(price)));
         let mut asked = Vec::new();
-        let mut price = |node: VariableId, now: &[f64; 4]| {
-            asked.push(node.index());
-            Ok::<_, Infallible>(loss(now[node.index()]))
+        let mut price = |node: usize, now: &[f64; 4]| {
+            asked.push(node);
+            Ok::<_, Infallible>(loss(now[node]))
         };
         assert_eq!(queue.pop(|v| price(v, &now)), Ok(Some((all[0], loss(0.0)))));
         now = [0.0, 5.0, 0.5, 2.0];

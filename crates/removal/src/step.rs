@@ -7,12 +7,13 @@ use std::sync::Arc;
 
 use crate::covariance::CovarianceRoot;
 use crate::error::{MakeError, RemovalError};
+use crate::member::Member;
 use crate::motion::{carried, rotation_part};
-use crate::neighborhood::{Member, Neighborhood, Read};
+use crate::neighborhood::{Neighborhood, Read};
 use crate::options::{Offset, Options, Recovery, Topology};
 use crate::overlay::{Overlay, Source};
 use crate::potential::{Potential, Sum};
-use crate::qr::triangle;
+use crate::rank_qr::triangle;
 use crate::recover::{self, Made, composition};
 use crate::target::Target;
 use crate::topology::Tree;
@@ -20,6 +21,7 @@ use crate::topology::Tree;
 /// Why a step did not take the form that was asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Fallback {
     /// Relative factors on the tree would have left a direction free that the removed factors
     /// hold; generic linear constraints on the same tree do not.
@@ -34,6 +36,7 @@ pub enum Fallback {
 
 /// A factor that a step adds.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct NewFactor {
     /// [`Factor::name`].
     pub name: String,

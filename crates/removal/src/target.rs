@@ -3,11 +3,13 @@
 use std::collections::BTreeSet;
 use std::ops::Range;
 
+use evergraph_model::{Pose2, Pose3, World};
 use nalgebra::{DMatrix, DVector};
 
-use crate::motion::{WORLDS, World, carried, pose_of, world_of};
-use crate::neighborhood::{Member, Neighborhood};
-use crate::qr::{RANK_TOLERANCE, back_substitute, column_norms, echelon};
+use crate::member::Member;
+use crate::motion::{carried, pose_of, world_of};
+use crate::neighborhood::Neighborhood;
+use crate::rank_qr::{RANK_TOLERANCE, back_substitute, column_norms, echelon};
 
 /// The square root `[R_t | d_t]` of the target (section II-A of the GLC paper; equations 12 and 13
 /// of the laser paper):
@@ -31,7 +33,7 @@ pub(crate) struct Target {
     /// Norms of the columns of the whitened Jacobian stack: what ranks are measured by.
     pub(crate) scales: Vec<f64>,
     /// For each world whose common motion no factor sees, the pose that was held.
-    pub(crate) held: [Option<usize>; 2],
+    pub(crate) held: Vec<(World, usize)>,
     /// `½ ‖d_m‖² = ½ η_mᵀ Λ_mm⁻¹ η_m`: error that goes when the nodes are at their best.
     pub(crate) explained: f64,
     /// Directions of the removed nodes that no factor determines.
@@ -79,14 +81,16 @@ impl Target {
         let scales = stack_norms(&rows, &starts);
 
         // Hold a pose of each world in which all is relative.
-        let held = WORLDS.map(|world| {
-            let is_pose = |m: &Member| pose_of(m.value.kind()) == Some(world);
-            let place = removed + members[removed..].iter().position(is_pose)?;
+        let mut held = Vec::new();
+        for (world, place) in poses(&members[removed..]) {
+            let place = removed + place;
             let motions: Vec<_> =
                 members.iter().map(|m| carried(&members[place].value, &m.value)).collect();
-            rows.iter().all(|r| is_relative(r, &motions, &starts)).then_some((place, motions))
-        });
-        for (place, _) in held.iter().flatten() {
+            if rows.iter().all(|r| is_relative(r, &motions, &starts)) {
+                held.push((world, place, motions));
+            }
+        }
+        for (_, place, _) in &held {
             for block in &mut rows {
                 if let Some(columns) = block.columns_of(*place, &dims) {
                     block.matrix.columns_mut(columns.start, columns.len()).fill(0.0);
@@ -142,14 +146,11 @@ impl Target {
             rhs,
             pivots,
             scales,
-            held: [None; 2],
+            held: held.iter().map(|&(world, place, _)| (world, place - removed)).collect(),
             explained,
             free,
         };
-        for (slot, found) in target.held.iter_mut().zip(&held) {
-            *slot = found.as_ref().map(|(place, _)| place - removed);
-        }
-        for (place, motions) in held.iter().flatten() {
+        for (_, place, motions) in &held {
             target.fill(place - removed, &motions[removed..]);
         }
         target
@@ -207,7 +208,13 @@ impl Target {
     /// Whether the target knows nothing of where `member` is in the world: a common motion that
     /// nothing sees can take it anywhere.
     pub(crate) fn is_relative(&self, member: usize) -> bool {
-        world_of(self.members[member].value.kind()).is_some_and(|w| self.held[slot(w)].is_some())
+        world_of(self.members[member].value.kind())
+            .is_some_and(|world| self.held.iter().any(|held| held.0 == world))
+    }
+
+    /// The held poses, in the order of their worlds.
+    pub(crate) fn held(&self) -> impl Iterator<Item = usize> {
+        self.held.iter().map(|&(_, place)| place)
     }
 
     /// For a pair of which only the relative position is known, the pose of the two that can be
@@ -222,11 +229,22 @@ impl Target {
     }
 }
 
-pub(crate) fn slot(world: World) -> usize {
-    match world {
-        World::Plane => 0,
-        World::Space => 1,
+/// The first pose of each world among the members: plane, space, then worlds of users by their first pose. The order
+/// decides which held pose is the root.
+fn poses(members: &[Member]) -> Vec<(World, usize)> {
+    let mut found: Vec<(World, usize)> = Vec::new();
+    for (place, member) in members.iter().enumerate() {
+        if let Some(world) = pose_of(member.value.kind())
+            && world.dim() == member.value.dim()
+            && found.iter().all(|known| known.0 != world)
+        {
+            found.push((world, place));
+        }
     }
+    let (plane, space) = (World::of::<Pose2, 3>(), World::of::<Pose3, 6>());
+    // Stable, so that other worlds stay in order.
+    found.sort_by_key(|&(world, _)| (world != plane, world != plane && world != space));
+    found
 }
 
 impl Rows {

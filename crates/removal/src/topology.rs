@@ -6,9 +6,9 @@ use evergraph_model::VariableType;
 use nalgebra::DMatrix;
 
 use crate::covariance::{CovarianceRoot, information_root};
-use crate::motion::{World, pose_of};
+use crate::motion::{pose_of, rotation_part};
 use crate::options::MutualInformation;
-use crate::qr::{half_log_det, triangle, upper_inverse};
+use crate::rank_qr::{half_log_det, triangle, upper_inverse};
 use crate::target::Target;
 
 /// A spanning tree of the blanket.
@@ -74,9 +74,9 @@ impl Tree {
 fn root(target: &Target) -> usize {
     let all = 0..target.members.len();
     if all.clone().all(|k| target.is_relative(k))
-        && let Some(held) = target.held.iter().flatten().next()
+        && let Some(held) = target.held().next()
     {
-        return *held;
+        return held;
     }
     let ranks: Vec<usize> = match target.is_regular() {
         true => all.clone().map(|k| target.dim_of(k)).collect(),
@@ -105,7 +105,7 @@ fn weights_of<'a>(
         return isam(target);
     }
     let all_move = || (0..target.members.len()).all(|k| target.is_relative(k));
-    let worlds = target.held.iter().flatten().count();
+    let worlds = target.held().count();
     match covariance {
         Some(covariance) if worlds == 0 => {
             let pairs = regular(target, |members| covariance.rows(target, members));
@@ -175,11 +175,7 @@ fn relative<'a>(
 /// How many numbers of a tangent are lengths: those of a pose come before its rotation; all else has
 /// one unit.
 fn lengths(kind: &VariableType, dim: usize) -> usize {
-    match pose_of(kind) {
-        Some(World::Plane) => 2,
-        Some(World::Space) => 3,
-        None => dim,
-    }
+    if pose_of(kind).is_some() { dim.saturating_sub(rotation_part(kind)) } else { dim }
 }
 
 /// `[Rᵀ √(damping D)]`, whose square is `Λ + damping D`: D is diagonal, over lengths and over the rest

@@ -39,7 +39,7 @@ proptest! {
     #[test]
     fn a_tree_keeps_gradient_and_null_space(kind in 0..KINDS.len(), count in 1..6usize, seed: u64) {
         for recovery in [Recovery::Glc, Recovery::Nonlinear] {
-            let options = Options { recovery, ..Options::default() };
+            let options = Options::default().with_recovery(recovery);
             check_information_and_gradient(KINDS[kind], count, seed, options);
         }
     }
@@ -100,7 +100,7 @@ fn what_is_relative_has_no_trace_of_the_world() {
             let scene = neighborhood(kind, 5, seed);
             for options in [Options::default(), Options::dense()] {
                 for root_shift in [RootShift::Root, RootShift::InverseRoot] {
-                    let plan = scene.plan(scene.ids()[0], Options { root_shift, ..options });
+                    let plan = scene.plan(scene.ids()[0], options.with_root_shift(root_shift));
                     for (_, factor) in plan.change().new_factors() {
                         let (linear, _) = factor.downcast::<Linear>().unwrap();
                         assert_eq!(linear.root_shift(), root_shift);
@@ -120,7 +120,7 @@ fn a_relative_tree_is_the_same_with_linear_and_ordinary_factors() {
             let scene = neighborhood(kind, count, seed);
             let node = scene.ids()[0];
             let [linear, ordinary] = [Recovery::Glc, Recovery::Nonlinear]
-                .map(|recovery| scene.plan(node, Options { recovery, ..Options::default() }));
+                .map(|recovery| scene.plan(node, Options::default().with_recovery(recovery)));
             let blanket = &linear.steps()[0].blanket;
             let ordinary_step = &ordinary.steps()[0];
             let all_between = ordinary_step.added.iter().all(|f| f.name.starts_with("Between"));
@@ -153,7 +153,7 @@ fn ranges_from_three_poses_need_the_whole_blanket() {
         }
     });
     for recovery in [Recovery::Glc, Recovery::Nonlinear] {
-        let plan = scene.plan(scene.ids()[0], Options { recovery, ..Options::default() });
+        let plan = scene.plan(scene.ids()[0], Options::default().with_recovery(recovery));
         let step = &plan.steps()[0];
         assert_eq!((step.rank, step.topology), (1, Topology::Dense));
         assert_eq!(step.fallback, Some(Fallback::DenseForRank));
@@ -178,7 +178,7 @@ fn an_offset_of_more_than_half_a_turn_becomes_a_linear_factor() {
         change.add_factor(Linear::new(&known, RootShift::None, rows, offset).unwrap());
     });
     let node = scene.ids()[0];
-    let options = Options { recovery: Recovery::Nonlinear, ..Options::default() };
+    let options = Options::default().with_recovery(Recovery::Nonlinear);
     let plan = scene.plan(node, options);
     let step = &plan.steps()[0];
     assert_eq!(step.fallback, None);
@@ -212,7 +212,7 @@ fn turned_away(
         change.add_factor(Linear::new(&known, RootShift::None, rows, offset).unwrap());
     });
     let node = scene.ids()[0];
-    let plan = scene.plan(node, Options { recovery, ..Options::default() });
+    let plan = scene.plan(node, Options::default().with_recovery(recovery));
     let step = &plan.steps()[0];
     let answer = answer(&scene, &[node], &step.blanket);
     let (lambda, eta) = normal(&added(&scene, &plan, &step.blanket));

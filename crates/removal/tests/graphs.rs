@@ -19,12 +19,10 @@ fn the_constant_closes_the_books() {
         let error = scene.graph.error(&scene.data);
         let node = keys[4].id();
         for (topology, recovery, offset) in &VARIANTS[..4] {
-            let options = Options {
-                topology: *topology,
-                recovery: *recovery,
-                offset: *offset,
-                ..Options::default()
-            };
+            let options = Options::default()
+                .with_topology(*topology)
+                .with_recovery(*recovery)
+                .with_offset(*offset);
             let plan = scene.plan(node, options);
             let after = reduced(&scene, &plan);
             let left = after.graph.error(&after.data);
@@ -106,7 +104,7 @@ fn linearization_points_stay_where_they_are() {
     // All in the linear model, none, and every second.
     for far in [[1e-3, 1e-3], [0.1, 0.1], [1e-3, 0.1]] {
         move_points(&mut smoother, &keys, far);
-        let nonlinear = Options { recovery: Recovery::Nonlinear, ..Options::default() };
+        let nonlinear = Options::default().with_recovery(Recovery::Nonlinear);
         for options in [Options::default(), Options::dense(), nonlinear] {
             let mut reduced = smoother.clone();
             let before = reduced.estimates();
@@ -219,7 +217,7 @@ fn chow_liu_is_the_best_of_all_trees() {
         let scene = neighborhood(Kind::Plane, 3, seed);
         let node = scene.ids()[0];
         let limit = MutualInformation::Limit;
-        let plan = scene.plan(node, Options { mutual_information: limit, ..Options::default() });
+        let plan = scene.plan(node, Options::default().with_mutual_information(limit));
         let blanket = plan.steps()[0].blanket.clone();
         let answer = answer(&scene, &[node], &blanket);
         // Hold the first: a regular problem with the same relative information.
@@ -273,7 +271,7 @@ fn robust_factors_enter_with_their_weight() {
         robust(1, 2, 200.0);
     });
     let node = scene.ids()[0];
-    let all = Options { least_weight: 0.0, ..Options::dense() };
+    let all = Options::dense().with_least_weight(0.0);
     let plan = scene.plan(node, all);
     let blanket = plan.steps()[0].blanket.clone();
     let expected = answer(&scene, &[node], &blanket);
@@ -295,7 +293,7 @@ fn robust_factors_enter_with_their_weight() {
 #[test]
 fn lost_on_purpose_is_lost() {
     let (smoother, keys) = drive(30, false, 2);
-    let options = Options { recovery: Recovery::Drop, ..Options::default() };
+    let options = Options::default().with_recovery(Recovery::Drop);
     let values = smoother.estimates();
     let node = keys[14];
     let plan = Removal::new(smoother.graph(), &values).with_options(options).plan(node).unwrap();
@@ -319,7 +317,7 @@ fn composition_compounds_and_merges() {
         change.add_factor(BetweenPose2::new(i, m, a, sigma(0.1)).unwrap());
         change.add_factor(BetweenPose2::new(m, j, b, sigma(0.2)).unwrap());
     });
-    let options = Options { recovery: Recovery::Composition, ..Options::default() };
+    let options = Options::default().with_recovery(Recovery::Composition);
     let plan = scene.plan(scene.ids()[0], options);
     let (_, factor) = &plan.change().new_factors()[0];
     let (between, _) = factor.downcast::<BetweenPose2>().unwrap();

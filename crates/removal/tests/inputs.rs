@@ -6,7 +6,7 @@ mod common;
 
 use common::*;
 use evergraph_model::{GraphError, Value, Values, VariableId};
-use evergraph_removal::{Estimates, Linearized, Options, Order, Removal, RemovalError};
+use evergraph_removal::{Estimates, LinearizedEstimate, Options, Order, Removal, RemovalError};
 use evergraph_solver::Smoother;
 use nalgebra::DMatrix;
 
@@ -59,12 +59,15 @@ fn estimates_that_are_too_few_are_refused() {
 /// Linearization points and steps of one's own.
 struct Steps<F>(Smoother, F);
 
-impl<F: Fn(&mut Vec<Linearized>)> Estimates for Steps<F> {
+impl<F: Fn(&mut Vec<LinearizedEstimate>)> Estimates for Steps<F> {
     fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
         Estimates::estimate(&self.0, variable)
     }
 
-    fn linearized(&self, variables: &[VariableId]) -> Result<Option<Vec<Linearized>>, GraphError> {
+    fn linearized(
+        &self,
+        variables: &[VariableId],
+    ) -> Result<Option<Vec<LinearizedEstimate>>, GraphError> {
         let found = self.0.linearized(variables)?;
         Ok(found.map(|mut found| {
             self.1(&mut found);
@@ -76,20 +79,20 @@ impl<F: Fn(&mut Vec<Linearized>)> Estimates for Steps<F> {
 #[test]
 fn steps_that_are_none_are_refused() {
     let (smoother, keys) = chain(4);
-    let plan = |spoil: fn(&mut Vec<Linearized>), options| {
+    let plan = |spoil: fn(&mut Vec<LinearizedEstimate>), options| {
         let steps = Steps(smoother.clone(), spoil);
         // The ids of a clone are its own.
         Removal::new(steps.0.graph(), &steps).with_options(options).plan(keys[1])
     };
     let options = Options::default();
-    plan(|_| (), options).unwrap();
+    assert!(plan(|_| (), options).is_ok());
     let error = plan(|found| drop(found.pop()), options).unwrap_err();
     assert!(matches!(error, RemovalError::EstimateCount { expected: 3, actual: 2 }), "{error}");
     let error = plan(|found| found[1].delta.truncate(2), options).unwrap_err();
     assert!(matches!(error, RemovalError::EstimateMismatch { dim: 2, .. }), "{error}");
-    let any = Options { linear_within: f64::INFINITY, ..options };
+    let any = options.with_linear_within(f64::INFINITY);
     for (options, bad) in [(options, f64::NAN), (any, f64::NAN), (any, f64::INFINITY)] {
-        let spoil: fn(&mut Vec<Linearized>) = match bad.is_nan() {
+        let spoil: fn(&mut Vec<LinearizedEstimate>) = match bad.is_nan() {
             true => |found| found[1].delta[0] = f64::NAN,
             false => |found| found[1].delta[0] = f64::INFINITY,
         };
@@ -100,7 +103,7 @@ fn steps_that_are_none_are_refused() {
     let error = plan(|found| found[1].delta[0] = f64::MAX, any).unwrap_err();
     assert!(matches!(error, RemovalError::NonFiniteFactor { .. }), "{error}");
     for bad in [f64::NAN, -1.0] {
-        let error = plan(|_| (), Options { linear_within: bad, ..options }).unwrap_err();
+        let error = plan(|_| (), options.with_linear_within(bad)).unwrap_err();
         assert!(matches!(error, RemovalError::Option { option: "linear_within", .. }), "{error}");
     }
 }

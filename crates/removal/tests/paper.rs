@@ -110,7 +110,7 @@ fn trees_of_generic_linear_constraints_are_the_papers() {
             let scene = regular(space, count, seed);
             let node = scene.ids()[0];
             for root_shift in [RootShift::InverseRoot, RootShift::Root, RootShift::None] {
-                let options = Options { root_shift, ..Options::paper() };
+                let options = Options::paper().with_root_shift(root_shift);
                 let plan = scene.plan(node, options);
                 let step = &plan.steps()[0];
                 assert_eq!(step.topology, Topology::ChowLiu);
@@ -230,7 +230,7 @@ fn relative_trees<G: LieGroup<N>, const N: usize>(count: usize, seed: u64) -> [D
                 MutualInformation::Limit => Options::paper(),
                 _ => Options::default(),
             };
-            let options = Options { root_shift, recovery, ..rules };
+            let options = rules.with_root_shift(root_shift).with_recovery(recovery);
             let plan = scene.plan(node, options);
             let step = &plan.steps()[0];
             assert_eq!((step.topology, step.rank), (Topology::ChowLiu, N * (count - 1)));
@@ -305,7 +305,7 @@ fn keeping_the_gradient_changes_the_offset_only() {
     let scene = regular(false, 4, 3);
     let node = scene.ids()[0];
     let paper = scene.plan(node, Options::paper());
-    let kept = scene.plan(node, Options { offset: Offset::KeepGradient, ..Options::paper() });
+    let kept = scene.plan(node, Options::paper().with_offset(Offset::KeepGradient));
     let blanket = &paper.steps()[0].blanket;
     let (a, b) = (added(&scene, &paper, blanket), added(&scene, &kept, blanket));
     assert_eq!(a.0, b.0);

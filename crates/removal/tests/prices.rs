@@ -24,7 +24,10 @@ fn the_price_is_the_divergence_of_everything_kept() {
                     if extras && recovery == Recovery::Composition {
                         continue;
                     }
-                    let options = Options { topology, recovery, offset, ..Options::default() };
+                    let options = Options::default()
+                        .with_topology(topology)
+                        .with_recovery(recovery)
+                        .with_offset(offset);
                     let plan = priced(&scene, &[node], Order::Given, options);
                     let after = marginal(&reduced(&scene, &plan), &kept);
                     let expected = divergence(&before, &after);
@@ -103,8 +106,8 @@ proptest! {
             Ok::<_, String>(before.0.select_rows(&scalars).select_columns(&scalars))
         };
         let others = [
-            Options { offset: Offset::Zero, ..Options::dense() },
-            Options { recovery: Recovery::Drop, ..Options::default() },
+            Options::dense().with_offset(Offset::Zero),
+            Options::default().with_recovery(Recovery::Drop),
             Options::paper(),
             Options::isam(),
         ];

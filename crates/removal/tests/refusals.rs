@@ -224,8 +224,8 @@ fn odd_factors_are_named_and_never_become_numbers() {
                 change.add_factor(Odd { keys, jacobian, residual });
             });
             let others = [
-                Options { offset: Offset::Zero, ..Options::default() },
-                Options { recovery: Recovery::Nonlinear, ..Options::dense() },
+                Options::default().with_offset(Offset::Zero),
+                Options::dense().with_recovery(Recovery::Nonlinear),
                 Options::isam(),
             ];
             for options in keeping().into_iter().chain(others) {
@@ -322,7 +322,7 @@ fn composition_beside_a_light_factor_joins_the_others() {
         }
     });
     let ids = scene.ids();
-    let options = Options { recovery: Recovery::Composition, ..Options::default() };
+    let options = Options::default().with_recovery(Recovery::Composition);
     let plan = scene.plan(ids[0], options);
     let step = &plan.steps()[0];
     assert_eq!((step.rejected.len(), step.absorbed.len(), step.added.len()), (1, 2, 1));
@@ -347,7 +347,7 @@ fn whole_weights_are_whole_to_rounding() {
                 change.add_factor(Linear::new(&ends, RootShift::None, rows, offset).unwrap());
             }
         });
-        let options = Options { least_weight: 1.0, ..Options::default() };
+        let options = Options::default().with_least_weight(1.0);
         let plan = scene.plan(scene.ids()[0], options);
         assert!(plan.steps()[0].rejected.is_empty(), "no factor here is robust");
     }
@@ -362,12 +362,12 @@ fn options_without_meaning_and_missing_parts_are_refused() {
     };
     let default = Options::default();
     for options in [
-        Options { least_weight: f64::NAN, ..default },
-        Options { least_weight: 2.0, ..default },
-        Options { guard: Guard { rotation: 0.0, ..Guard::default() }, ..default },
-        Options { guard: Guard { mahalanobis: f64::NAN, ..Guard::default() }, ..default },
-        Options { rank: Rank::Absolute(-1.0), ..default },
-        Options { rank: Rank::Absolute(f64::INFINITY), ..default },
+        default.with_least_weight(f64::NAN),
+        default.with_least_weight(2.0),
+        default.with_guard(Guard::default().with_rotation(0.0)),
+        default.with_guard(Guard::default().with_mahalanobis(f64::NAN)),
+        default.with_rank(Rank::Absolute(-1.0)),
+        default.with_rank(Rank::Absolute(f64::INFINITY)),
     ] {
         let error = with(options);
         assert!(matches!(error, RemovalError::Option { .. }), "{error}");
@@ -377,7 +377,7 @@ fn options_without_meaning_and_missing_parts_are_refused() {
         .unwrap_err();
     assert!(matches!(error, RemovalError::NeedsCovariance), "{error}");
     // The prior cannot be composed.
-    let composition = Options { recovery: Recovery::Composition, ..default };
+    let composition = default.with_recovery(Recovery::Composition);
     let error = Removal::new(smoother.graph(), &estimates)
         .with_options(composition)
         .plan(keys[0])
@@ -407,17 +407,17 @@ fn options_are_data() {
         assert_eq!(serde_json::from_str::<Options>(&text).unwrap(), options, "{text}");
     }
     let given: Options = serde_json::from_str(r#"{"recovery":"nonlinear"}"#).unwrap();
-    assert_eq!(given, Options { recovery: Recovery::Nonlinear, ..Options::default() });
+    assert_eq!(given, Options::default().with_recovery(Recovery::Nonlinear));
     let given: Options = serde_json::from_str(r#"{"mutual_information":"limit"}"#).unwrap();
     let limit = MutualInformation::Limit;
-    assert_eq!(given, Options { mutual_information: limit, ..Options::default() });
+    assert_eq!(given, Options::default().with_mutual_information(limit));
 }
 
 #[test]
 fn a_blanket_that_would_take_too_long_is_refused() {
     let (smoother, keys) = chain(5);
     let plan = |largest_blanket| {
-        let options = Options { largest_blanket, ..Options::default() };
+        let options = Options::default().with_largest_blanket(largest_blanket);
         Removal::new(smoother.graph(), &smoother.estimates()).with_options(options).plan(keys[2])
     };
     let error = plan(5).unwrap_err();
@@ -425,5 +425,5 @@ fn a_blanket_that_would_take_too_long_is_refused() {
         matches!(error, RemovalError::LargeBlanket { dim: 6, largest: 5, variable } if variable == keys[2].id()),
         "{error}"
     );
-    plan(6).unwrap();
+    assert!(plan(6).is_ok());
 }

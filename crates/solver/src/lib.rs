@@ -47,6 +47,7 @@
 
 mod background;
 mod batch;
+mod belief;
 mod covariance;
 mod dense;
 mod diagnose;

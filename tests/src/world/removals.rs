@@ -52,22 +52,22 @@ const WEAKEST: f64 = 1e-15;
 
 /// All ways to remove, with the order.
 fn ways(how: u8) -> (Options, Order) {
-    let tree = Options { least_weight: 0.0, ..Options::default() };
-    let dense = Options { topology: Topology::Dense, ..tree };
-    let nonlinear = Options { recovery: Recovery::Nonlinear, ..tree };
+    let tree = Options::default().with_least_weight(0.0);
+    let dense = tree.with_topology(Topology::Dense);
+    let nonlinear = tree.with_recovery(Recovery::Nonlinear);
     let ways = [
         tree,
         dense,
         nonlinear,
-        Options { root_shift: RootShift::InverseRoot, ..tree },
-        Options { root_shift: RootShift::None, ..dense },
-        Options { intra_clique: false, ..tree },
-        Options { intra_clique: false, ..dense },
-        Options { guard: Guard { rotation: 1e-3, mahalanobis: 0.1 }, ..nonlinear },
-        Options { least_weight: 0.0, ..Options::paper() },
-        Options { least_weight: 0.0, ..Options::isam() },
-        Options { recovery: Recovery::Composition, ..tree },
-        Options { recovery: Recovery::Drop, ..tree },
+        tree.with_root_shift(RootShift::InverseRoot),
+        dense.with_root_shift(RootShift::None),
+        tree.with_intra_clique(false),
+        dense.with_intra_clique(false),
+        nonlinear.with_guard(Guard::default().with_rotation(1e-3).with_mahalanobis(0.1)),
+        Options::paper().with_least_weight(0.0),
+        Options::isam().with_least_weight(0.0),
+        tree.with_recovery(Recovery::Composition),
+        tree.with_recovery(Recovery::Drop),
     ];
     let orders = [Order::Given, Order::MinDegree, Order::Random(u64::from(how)), Order::MinLoss];
     let how = usize::from(how);
@@ -252,8 +252,8 @@ impl World {
                 matches!(error, RemovalError::Graph(GraphError::UnknownVariable { .. }))
             }),
             4 => {
-                let guard = Guard { rotation: f64::NAN, ..Guard::default() };
-                matches!(plan(&[node], Options { guard, ..default }), RemovalError::Option { .. })
+                let guard = Guard::default().with_rotation(f64::NAN);
+                matches!(plan(&[node], default.with_guard(guard)), RemovalError::Option { .. })
             }
             5 => {
                 let all: Vec<VariableId> = self.variables.iter().map(Variable::id).collect();

@@ -4,14 +4,14 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use evergraph::Smoother;
 use evergraph::model::{Graph, GraphError, Value, VariableId};
-use evergraph::removal::{Estimates, Linearized, Options, Removal, Step, Topology};
+use evergraph::removal::{Estimates, LinearizedEstimate, Options, Removal, Step, Topology};
 use nalgebra::{DMatrix, DVector};
 
 use crate::stack;
 
 /// Where a removal sees each variable, and the step from there to its estimate.
 pub(super) struct Seen {
-    at: BTreeMap<VariableId, Linearized>,
+    at: BTreeMap<VariableId, LinearizedEstimate>,
     beyond: BTreeSet<VariableId>,
 }
 
@@ -25,11 +25,11 @@ impl Seen {
             let delta = smoother.deltas(&[id]).expect("it is there").remove(0);
             if delta.iter().all(|x| x.abs() <= within) {
                 let point = smoother.linearization_point(id).expect("it is there");
-                return (id, Linearized { point, delta });
+                return (id, LinearizedEstimate { point, delta });
             }
             beyond.insert(id);
             let point = smoother.estimate_value(id).expect("it is there");
-            (id, Linearized { delta: vec![0.0; point.dim()], point })
+            (id, LinearizedEstimate { delta: vec![0.0; point.dim()], point })
         };
         let at = smoother.graph().variables().map(seen).collect();
         Self { at, beyond }
@@ -45,18 +45,21 @@ impl Seen {
         self.at.get(&id).is_some_and(|it| it.delta.iter().any(|&x| x != 0.0))
     }
 
-    fn at(&self, id: VariableId) -> Result<&Linearized, GraphError> {
+    fn at(&self, id: VariableId) -> Result<&LinearizedEstimate, GraphError> {
         self.at.get(&id).ok_or(GraphError::UnknownVariable { variable: id })
     }
 }
 
 impl Estimates for Seen {
     fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
-        let Linearized { point, delta } = self.at(variable)?;
+        let LinearizedEstimate { point, delta } = self.at(variable)?;
         Ok(point.retract(delta).expect("the step has its dimension"))
     }
 
-    fn linearized(&self, variables: &[VariableId]) -> Result<Option<Vec<Linearized>>, GraphError> {
+    fn linearized(
+        &self,
+        variables: &[VariableId],
+    ) -> Result<Option<Vec<LinearizedEstimate>>, GraphError> {
         variables.iter().map(|&id| self.at(id).cloned()).collect::<Result<_, _>>().map(Some)
     }
 }

@@ -135,7 +135,8 @@ impl World {
     /// A measurement of one variable or two with these numbers.
     pub fn measure(&mut self, quantity: Quantity, ends: &[u64], numbers: &[f64]) {
         let kinds: Vec<Kind> = ends.iter().map(|id| self.truth[id].kind()).collect();
-        let rows = Measurement::shape(quantity, &kinds).expect("the quantity is measured on these").1;
+        let rows =
+            Measurement::shape(quantity, &kinds).expect("the quantity is measured on these").1;
         self.measure_with(quantity, ends, numbers, sigma(0.1, rows));
     }
 

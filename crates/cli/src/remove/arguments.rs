@@ -141,25 +141,23 @@ impl Arguments {
             Mode::Paper => Options::paper(),
             Mode::Isam => Options::isam(),
         };
-        Options {
-            topology: match self.topology {
+        rules
+            .with_topology(match self.topology {
                 TopologyName::Dense => Topology::Dense,
                 TopologyName::Tree => Topology::ChowLiu,
-            },
-            recovery: match self.recovery {
+            })
+            .with_recovery(match self.recovery {
                 RecoveryName::Glc => Recovery::Glc,
                 RecoveryName::Nonlinear => Recovery::Nonlinear,
                 RecoveryName::Composition => Recovery::Composition,
                 RecoveryName::Drop => Recovery::Drop,
-            },
-            offset: match self.offset {
+            })
+            .with_offset(match self.offset {
                 Some(OffsetName::Gradient) => Offset::KeepGradient,
                 Some(OffsetName::Paper) => Offset::Zero,
                 None => rules.offset,
-            },
-            largest_blanket: self.largest_blanket,
-            ..rules
-        }
+            })
+            .with_largest_blanket(self.largest_blanket)
     }
 
     pub(super) fn order(&self) -> Order {

@@ -22,6 +22,7 @@
 //! ```
 
 mod coefficients;
+mod manifolds;
 mod point;
 mod pose2;
 mod pose3;
@@ -68,66 +69,6 @@ pub enum GeometryError {
         determinant: f64,
     },
 }
-
-/// [`Manifold`](crate::Manifold) of a Lie group from its private `to_storage` and `from_storage`.
-macro_rules! group_manifold {
-    ($group:ty, $dim:literal, $name:literal, $components:expr, $len:literal) => {
-        impl crate::Manifold for $group {
-            const NAME: &'static str = $name;
-            const COMPONENTS: &'static [&'static str] = &$components;
-
-            #[inline]
-            fn dim(&self) -> usize {
-                $dim
-            }
-
-            #[inline]
-            fn storage_len(&self) -> usize {
-                $len
-            }
-
-            #[inline]
-            fn store(&self, out: &mut [f64]) {
-                out.copy_from_slice(&self.to_storage());
-            }
-
-            #[inline]
-            fn load(storage: &[f64]) -> Self {
-                let storage: [f64; $len] = storage.try_into().expect(concat!(
-                    "a stored ",
-                    $name,
-                    " has ",
-                    $len,
-                    " numbers"
-                ));
-                Self::from_storage(storage)
-            }
-
-            #[inline]
-            fn retract(&self, delta: &[f64]) -> Self {
-                use crate::LieGroup;
-                self.compose(&Self::exp(&nalgebra::SVector::<f64, $dim>::from_column_slice(delta)))
-            }
-
-            #[inline]
-            fn local(&self, other: &Self, out: &mut [f64]) {
-                use crate::LieGroup;
-                out.copy_from_slice(self.between(other).log().as_slice());
-            }
-        }
-
-        impl std::ops::Mul for $group {
-            type Output = Self;
-
-            /// Composition.
-            #[inline]
-            fn mul(self, other: Self) -> Self {
-                crate::LieGroup::compose(&self, &other)
-            }
-        }
-    };
-}
-use group_manifold;
 
 /// `Mul` of a transform and something it acts on.
 macro_rules! acts_on {

@@ -5,7 +5,6 @@ use std::fmt;
 use nalgebra::{SMatrix, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::group_manifold;
 use crate::manifold::LieGroup;
 
 macro_rules! point {
@@ -38,17 +37,16 @@ macro_rules! point {
             }
 
             #[inline]
-            fn to_storage(self) -> [f64; $dim] {
+            pub(super) fn to_storage(self) -> [f64; $dim] {
                 [$(self.$c),*]
             }
 
             #[inline]
-            fn from_storage([$($c),*]: [f64; $dim]) -> Self {
+            pub(super) fn from_storage([$($c),*]: [f64; $dim]) -> Self {
                 Self { $($c),* }
             }
         }
 
-        group_manifold!($name, $dim, $text, [$($label),*], $dim);
 
         impl LieGroup<$dim> for $name {
             #[inline]

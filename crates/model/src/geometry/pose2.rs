@@ -6,7 +6,7 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::coefficients::{inverse_jacobian, jacobian};
-use super::{Point2, Rot2, acts_on, group_manifold};
+use super::{Point2, Rot2, acts_on};
 use crate::manifold::LieGroup;
 
 /// Position and heading in the plane; tangent order `(x, y, theta)`.
@@ -86,17 +86,16 @@ impl Pose2 {
     }
 
     #[inline]
-    fn to_storage(self) -> [f64; 4] {
+    pub(super) fn to_storage(self) -> [f64; 4] {
         [self.x, self.y, self.rotation.cos, self.rotation.sin]
     }
 
     #[inline]
-    fn from_storage([x, y, cos, sin]: [f64; 4]) -> Self {
+    pub(super) fn from_storage([x, y, cos, sin]: [f64; 4]) -> Self {
         Self { x, y, rotation: Rot2 { cos, sin } }
     }
 }
 
-group_manifold!(Pose2, 3, "Pose2", ["x", "y", "theta"], 4);
 acts_on!(Pose2, Point2, transform_point);
 
 // Below, J = [0 -1; 1 0] and every 2×2 block is a multiple of a rotation, a I + b J.

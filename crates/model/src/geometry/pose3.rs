@@ -9,7 +9,7 @@ use super::coefficients::{
     inverse_jacobian, inverse_jacobian_with_prime, jacobian, jacobian_prime,
 };
 use super::rot3::{quadratic, skew, symmetric_and_skew};
-use super::{Point3, Rot3, acts_on, group_manifold};
+use super::{Point3, Rot3, acts_on};
 use crate::manifold::LieGroup;
 
 /// Position and orientation in space; tangent order `(x, y, z, rx, ry, rz)`.
@@ -83,18 +83,17 @@ impl Pose3 {
     }
 
     #[inline]
-    fn to_storage(self) -> [f64; 7] {
+    pub(super) fn to_storage(self) -> [f64; 7] {
         let [qx, qy, qz, qw] = self.rotation.to_storage();
         [self.x, self.y, self.z, qx, qy, qz, qw]
     }
 
     #[inline]
-    fn from_storage([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Self {
+    pub(super) fn from_storage([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Self {
         Self { x, y, z, rotation: Rot3::from_storage([qx, qy, qz, qw]) }
     }
 }
 
-group_manifold!(Pose3, 6, "Pose3", ["x", "y", "z", "rx", "ry", "rz"], 7);
 acts_on!(Pose3, Point3, transform_point);
 
 #[inline]

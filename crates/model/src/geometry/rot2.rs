@@ -7,7 +7,7 @@ use nalgebra::{Matrix1, Matrix2, Vector1, Vector2};
 use serde::{Deserialize, Serialize};
 
 use super::coefficients::small_arctangent;
-use super::{GeometryError, Point2, acts_on, group_manifold};
+use super::{GeometryError, Point2, acts_on};
 use crate::manifold::LieGroup;
 
 /// The same angle in (-π, π].
@@ -118,17 +118,16 @@ impl Rot2 {
     }
 
     #[inline]
-    fn to_storage(self) -> [f64; 2] {
+    pub(super) fn to_storage(self) -> [f64; 2] {
         [self.cos, self.sin]
     }
 
     #[inline]
-    fn from_storage([cos, sin]: [f64; 2]) -> Self {
+    pub(super) fn from_storage([cos, sin]: [f64; 2]) -> Self {
         Self { cos, sin }
     }
 }
 
-group_manifold!(Rot2, 1, "Rot2", ["theta"], 2);
 acts_on!(Rot2, Point2, transform_point);
 acts_on!(Rot2, Vector2<f64>, rotate);
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::coefficients::{inverse_jacobian, jacobian, sinc, small_arctangent};
 use super::rot2::principal;
-use super::{GeometryError, Point3, acts_on, group_manifold};
+use super::{GeometryError, Point3, acts_on};
 use crate::manifold::LieGroup;
 
 /// `[v]×`, with `[v]× w = v × w`.
@@ -178,7 +178,6 @@ impl Rot3 {
     }
 }
 
-group_manifold!(Rot3, 3, "Rot3", ["rx", "ry", "rz"], 4);
 acts_on!(Rot3, Point3, transform_point);
 acts_on!(Rot3, Vector3<f64>, rotate);
 

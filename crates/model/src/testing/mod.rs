@@ -11,12 +11,14 @@
 //! ```
 
 mod derivatives;
+mod motion;
 
 use nalgebra::{SMatrix, SVector};
 
 pub use derivatives::{
     JacobianCheck, JacobianError, assert_jacobian, check_gradient, check_jacobian,
 };
+pub use motion::{check_motion, check_pose};
 
 use crate::manifold::{LieGroup, Manifold};
 

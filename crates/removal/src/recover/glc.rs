@@ -22,7 +22,7 @@ use crate::target::Target;
 /// it, and one that comes from QR has seen no squares).
 ///
 /// R is `[A 0; C B]` with B diagonal by blocks: an identity for every variable but points that are seen
-/// from the root, where it is the rotation of their axes; hence `G'_k = G_k B_kᵀ` and
+/// from the root, where it is the rotation of their axes; hence `G'_k = G_k B_k⁻¹` and
 /// `G'_1 = (G_1 - Σ G'_k C_k) A⁻¹`.
 pub(crate) fn factor(
     target: &Target,
@@ -52,8 +52,8 @@ pub(crate) fn factor(
         for point in &points[1..] {
             let n = point.dim();
             let is_seen = shift.sees(points[0].kind(), point.kind());
-            let turned =
-                rows.columns(column, n) * jacobian.view((column, column), (n, n)).transpose();
+            let own = jacobian.view((column, column), (n, n)).into_owned();
+            let turned = rows.columns(column, n) * inverse(own)?;
             if potential.relative {
                 if let (false, Some(motion)) = (is_seen, carried(&points[0], point)) {
                     first -= &turned * motion;
@@ -84,6 +84,17 @@ pub(crate) fn factor(
         return Ok(None);
     }
     Ok(Some(Linear::new(&variables, shift, rows, offset)?))
+}
+
+/// The inverse of a block B: its transpose where it is a rotation, which all types of this library have.
+fn inverse(block: DMatrix<f64>) -> Result<DMatrix<f64>, MakeError> {
+    /// Deviation from a rotation that counts as rounding.
+    const ROUNDING: f64 = 1e-9;
+    let n = block.nrows();
+    if (block.tr_mul(&block) - DMatrix::identity(n, n)).amax() <= ROUNDING {
+        return Ok(block.transpose());
+    }
+    block.try_inverse().ok_or(MakeError::NotFinite("its root shift"))
 }
 
 /// Only where another variable is there to be seen from the first: unary factors gain nothing.

@@ -4,13 +4,13 @@ use std::sync::Arc;
 
 use evergraph_factors::{Between, LocalJacobian, Prior, RelativePosition2, RelativePosition3};
 use evergraph_model::{
-    Factor, Graph, LieGroup, Noise, Point2, Point3, Pose2, Pose3, Rot2, Rot3, VectorN,
+    Factor, Graph, LieGroup, Noise, Point2, Point3, Pose2, Pose3, Rot2, Rot3, VariableType, VectorN,
 };
 use nalgebra::{DMatrix, DVector, SMatrix, SVector};
 
 use crate::error::MakeError;
+use crate::member::Member;
 use crate::motion::{carried, rotation_part};
-use crate::neighborhood::Member;
 use crate::potential::Potential;
 use crate::target::Target;
 
@@ -19,7 +19,8 @@ use crate::target::Target;
 /// [`Guard::rotation`](crate::Guard::rotation), which measures what remains of it as a linear one.
 const FARTHEST: f64 = 1.0;
 
-/// The ordinary factor for a term with its minimum at `offset`, if there is one.
+/// The ordinary factor for a term with its minimum at `offset`, if there is one. Types of users have none: their terms
+/// become linear factors, which in a pair are linear in the relative coordinate only.
 pub(crate) fn factor(
     graph: &Graph,
     target: &Target,
@@ -44,24 +45,34 @@ fn unary(
     offset: &DVector<f64>,
 ) -> Result<Option<Arc<dyn Factor>>, MakeError> {
     let kind = member.value.kind();
-    if kind.is::<Pose2>() {
-        group_prior::<Pose2, 3>(graph, member, rows, offset)
-    } else if kind.is::<Pose3>() {
-        group_prior::<Pose3, 6>(graph, member, rows, offset)
-    } else if kind.is::<Rot2>() {
-        group_prior::<Rot2, 1>(graph, member, rows, offset)
-    } else if kind.is::<Rot3>() {
-        group_prior::<Rot3, 3>(graph, member, rows, offset)
-    } else if kind.is::<Point2>() {
-        group_prior::<Point2, 2>(graph, member, rows, offset)
-    } else if kind.is::<Point3>() {
-        group_prior::<Point3, 3>(graph, member, rows, offset)
-    } else if let Some(x) = member.value.get::<VectorN>() {
-        let z = VectorN::new((x.vector() + offset).as_slice().to_vec());
-        Ok(Some(Arc::new(Prior::new(graph.key(member.id)?, z, noise(rows)?)?)))
-    } else {
-        Ok(None)
+    let makers: [(&VariableType, Unary); 7] = [
+        (VariableType::of::<Pose2>(), group_prior::<Pose2, 3>),
+        (VariableType::of::<Pose3>(), group_prior::<Pose3, 6>),
+        (VariableType::of::<Rot2>(), group_prior::<Rot2, 1>),
+        (VariableType::of::<Rot3>(), group_prior::<Rot3, 3>),
+        (VariableType::of::<Point2>(), group_prior::<Point2, 2>),
+        (VariableType::of::<Point3>(), group_prior::<Point3, 3>),
+        (VariableType::of::<VectorN>(), vector_prior),
+    ];
+    match makers.iter().find(|maker| maker.0 == kind) {
+        Some((_, make)) => make(graph, member, rows, offset),
+        None => Ok(None),
     }
+}
+
+/// The prior of a type for a member, its rows and its offset.
+type Unary =
+    fn(&Graph, &Member, &DMatrix<f64>, &DVector<f64>) -> Result<Option<Arc<dyn Factor>>, MakeError>;
+
+fn vector_prior(
+    graph: &Graph,
+    member: &Member,
+    rows: &DMatrix<f64>,
+    offset: &DVector<f64>,
+) -> Result<Option<Arc<dyn Factor>>, MakeError> {
+    let Some(x) = member.value.get::<VectorN>() else { return Ok(None) };
+    let z = VectorN::new((x.vector() + offset).as_slice().to_vec());
+    Ok(Some(Arc::new(Prior::new(graph.key(member.id)?, z, noise(rows)?)?)))
 }
 
 fn group_prior<G: LieGroup<N> + LocalJacobian, const N: usize>(
@@ -93,48 +104,87 @@ fn pair(
     let Some(motion) = carried(&first.value, &second.value) else { return Ok(None) };
     let d = offset.rows(n, m) - motion * offset.rows(0, n);
     let rows = rows.columns(n, m).into_owned();
-    let (pose2, pose3) = (first.value.get::<Pose2>(), first.value.get::<Pose3>());
-    if let (Some(pose), Some(point)) = (pose2, second.value.get::<Point2>()) {
-        // z = T⁻¹ p̂ + Cᵀ d; the Jacobian by the point is W Cᵀ, so W = G C.
-        let c = pose.rotation();
-        let turn = DMatrix::from_row_slice(2, 2, &[c.cos(), -c.sin(), c.sin(), c.cos()]);
-        let seen = pose.inverse_transform_point(&point).vector() + turn.tr_mul(&d);
-        let seen = Point2::new(seen[0], seen[1]);
-        let keys = (graph.key::<Pose2>(first.id)?, graph.key::<Point2>(second.id)?);
-        let factor = RelativePosition2::new(keys.0, keys.1, seen, noise(&(rows * turn))?)?;
-        return Ok(Some(Arc::new(factor)));
+    let (plane, space) = (VariableType::of::<Pose2>(), VariableType::of::<Pose3>());
+    let makers: [(&VariableType, &VariableType, Pair); 4] = [
+        (plane, VariableType::of::<Point2>(), position2),
+        (space, VariableType::of::<Point3>(), position3),
+        (plane, plane, between::<Pose2, 3>),
+        (space, space, between::<Pose3, 6>),
+    ];
+    let kinds = (first.value.kind(), second.value.kind());
+    match makers.iter().find(|maker| (maker.0, maker.1) == kinds) {
+        Some((_, _, make)) => make(graph, first, second, rows, &d),
+        None => Ok(None),
     }
-    if let (Some(pose), Some(point)) = (pose3, second.value.get::<Point3>()) {
-        let turn = DMatrix::from_column_slice(3, 3, pose.rotation().matrix().as_slice());
-        let seen = pose.inverse_transform_point(&point).vector() + turn.tr_mul(&d);
-        let seen = Point3::new(seen[0], seen[1], seen[2]);
-        let keys = (graph.key::<Pose3>(first.id)?, graph.key::<Point3>(second.id)?);
-        let factor = RelativePosition3::new(keys.0, keys.1, seen, noise(&(rows * turn))?)?;
-        return Ok(Some(Arc::new(factor)));
-    }
-    if let (Some(from), Some(to)) = (pose2, second.value.get::<Pose2>()) {
-        return between::<Pose2, 3>(graph, (first, from), (second, to), &rows, &d);
-    }
-    if let (Some(from), Some(to)) = (pose3, second.value.get::<Pose3>()) {
-        return between::<Pose3, 6>(graph, (first, from), (second, to), &rows, &d);
-    }
-    Ok(None)
+}
+
+/// The relative factor of two types, for the members, the rows and the offset of the second.
+type Pair = fn(
+    &Graph,
+    &Member,
+    &Member,
+    DMatrix<f64>,
+    &DVector<f64>,
+) -> Result<Option<Arc<dyn Factor>>, MakeError>;
+
+/// `z = T⁻¹ p̂ + Cᵀ d`; the Jacobian by the point is `W Cᵀ`, so `W = G C`.
+fn position2(
+    graph: &Graph,
+    first: &Member,
+    second: &Member,
+    rows: DMatrix<f64>,
+    d: &DVector<f64>,
+) -> Result<Option<Arc<dyn Factor>>, MakeError> {
+    let (Some(pose), Some(point)) = (first.value.get::<Pose2>(), second.value.get::<Point2>())
+    else {
+        return Ok(None);
+    };
+    let c = pose.rotation();
+    let turn = DMatrix::from_row_slice(2, 2, &[c.cos(), -c.sin(), c.sin(), c.cos()]);
+    let seen = pose.inverse_transform_point(&point).vector() + turn.tr_mul(d);
+    let seen = Point2::new(seen[0], seen[1]);
+    let keys = (graph.key::<Pose2>(first.id)?, graph.key::<Point2>(second.id)?);
+    let factor = RelativePosition2::new(keys.0, keys.1, seen, noise(&(rows * turn))?)?;
+    Ok(Some(Arc::new(factor)))
+}
+
+/// [`position2`] in space.
+fn position3(
+    graph: &Graph,
+    first: &Member,
+    second: &Member,
+    rows: DMatrix<f64>,
+    d: &DVector<f64>,
+) -> Result<Option<Arc<dyn Factor>>, MakeError> {
+    let (Some(pose), Some(point)) = (first.value.get::<Pose3>(), second.value.get::<Point3>())
+    else {
+        return Ok(None);
+    };
+    let turn = DMatrix::from_column_slice(3, 3, pose.rotation().matrix().as_slice());
+    let seen = pose.inverse_transform_point(&point).vector() + turn.tr_mul(d);
+    let seen = Point3::new(seen[0], seen[1], seen[2]);
+    let keys = (graph.key::<Pose3>(first.id)?, graph.key::<Point3>(second.id)?);
+    let factor = RelativePosition3::new(keys.0, keys.1, seen, noise(&(rows * turn))?)?;
+    Ok(Some(Arc::new(factor)))
 }
 
 /// `z = x̂_ij Exp(d)`, with the residual `-d` where the members are seen and `W = G Jr(-d)` as for a prior.
 fn between<G: LieGroup<N>, const N: usize>(
     graph: &Graph,
-    (first, from): (&Member, G),
-    (second, to): (&Member, G),
-    rows: &DMatrix<f64>,
+    first: &Member,
+    second: &Member,
+    rows: DMatrix<f64>,
     offset: &DVector<f64>,
 ) -> Result<Option<Arc<dyn Factor>>, MakeError> {
+    let (Some(from), Some(to)) = (first.value.get::<G>(), second.value.get::<G>()) else {
+        return Ok(None);
+    };
     if turn(second, offset) > FARTHEST {
         return Ok(None);
     }
     let d = SVector::<f64, N>::from_column_slice(offset.as_slice());
     let z = from.between(&to).compose(&G::exp(&d));
-    let noise = noise(&times(rows, &G::right_jacobian(&-d)))?;
+    let noise = noise(&times(&rows, &G::right_jacobian(&-d)))?;
     let (from, to) = (graph.key::<G>(first.id)?, graph.key::<G>(second.id)?);
     Ok(Some(Arc::new(Between::<G, N>::new(from, to, z, noise)?)))
 }

@@ -333,9 +333,9 @@ pub fn keeping() -> [Options; 5] {
     [
         Options::default(),
         Options::dense(),
-        Options { recovery: Recovery::Nonlinear, ..Options::default() },
-        Options { root_shift: RootShift::InverseRoot, ..Options::default() },
-        Options { intra_clique: false, ..Options::default() },
+        Options::default().with_recovery(Recovery::Nonlinear),
+        Options::default().with_root_shift(RootShift::InverseRoot),
+        Options::default().with_intra_clique(false),
     ]
 }
 
