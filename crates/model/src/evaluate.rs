@@ -96,18 +96,7 @@ impl LinearizedFactor {
         factor: &dyn Factor,
         values: &[ValueRef<'_>],
     ) -> Result<(), EvaluationError> {
-        let evaluated = guarded(|| {
-            check(factor, values)?;
-            self.evaluate(factor, values);
-            Ok(())
-        });
-        evaluated.unwrap_or_else(|message| {
-            let variables = guarded(|| factor.keys().to_vec()).unwrap_or_default();
-            Err(EvaluationError::Panicked { name: name_of(factor), variables, message })
-        })
-    }
-
-    fn evaluate(&mut self, factor: &dyn Factor, values: &[ValueRef<'_>]) {
+        check(factor, values)?;
         let rows = factor.residual_dim();
         let mut width = 0;
         self.columns.clear();
@@ -122,9 +111,17 @@ impl LinearizedFactor {
         self.data.resize(rows * (width + 1), 0.0);
         let storages: SmallVec<[&[f64]; 4]> = values.iter().map(ValueRef::storage).collect();
         let at = Arguments::new(&storages);
-        factor.residual(&at, &mut self.residual);
-        self.error = factor.error(&self.residual);
-        factor.linearize(&at, &mut Linearization::new(rows, &self.columns, &mut self.data));
+        // The next call overwrites the buffers that a panic leaves half written.
+        guarded(|| {
+            factor.residual(&at, &mut self.residual);
+            self.error = factor.error(&self.residual);
+            factor.linearize(&at, &mut Linearization::new(rows, &self.columns, &mut self.data));
+        })
+        .map_err(|message| EvaluationError::Panicked {
+            name: name_of(factor),
+            variables: factor.keys().to_vec(),
+            message,
+        })
     }
 
     /// Rows of the residual.
@@ -198,6 +195,8 @@ fn check(factor: &dyn Factor, values: &[ValueRef<'_>]) -> Result<(), EvaluationE
 
 #[cfg(test)]
 mod tests {
+    use std::any::Any;
+
     use super::*;
     use crate::{Graph, Point2, Rot2, Value, VariableType};
 
@@ -230,7 +229,7 @@ mod tests {
             out.block_mut(0).copy_from_slice(&[2.0, 0.0, 0.0, 2.0]);
             self.residual(at, out.residual_mut());
         }
-        fn as_any(&self) -> &dyn std::any::Any {
+        fn as_any(&self) -> &dyn Any {
             self
         }
     }
