@@ -1,4 +1,5 @@
-//! The `evergraph` program: replay, optimize, reduce, evaluate, measure, inspect, convert and simulate pose graphs.
+//! The `evergraph` program: it reads the command line, calls the library, and prints and writes results.
+//! A file or folder per subcommand; no algorithm.
 #![forbid(unsafe_code)]
 
 mod audit;

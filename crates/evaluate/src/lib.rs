@@ -1,5 +1,5 @@
-//! How good a map is: against the truth, against the batch optimum, and in whose convention it
-//! costs what.
+//! Errors of a map against the truth, the loss of a reduced graph against the full one, and the cost of a
+//! file in two conventions.
 //!
 //! With `xₖ` the estimated and `yₖ` the true poses of the same instants, `S` the motion that lays
 //! the estimate over the truth, and `trans`, `rot` the length of the translation and the angle of
@@ -9,7 +9,6 @@
 //! absolute error (ATE, APE)    Eₖ = yₖ⁻¹ (S xₖ)                        trans(Eₖ), rot(Eₖ)
 //! relative error (RPE)         Eₖ = (yₖ⁻¹ yₖ₊Δ)⁻¹ (xₖ⁻¹ xₖ₊Δ)          trans(Eₖ), rot(Eₖ)
 //! landmark error               ‖S l̂ - l‖
-//! excess over the optimum      (error - optimum) / optimum
 //! ```
 //!
 //! The absolute error says how consistent the map is as a whole, the relative error how good it is

@@ -1,17 +1,26 @@
 //! **Evergraph** keeps the best estimate of a growing map current, in milliseconds: an incremental
 //! smoothing engine in the style of iSAM, for robots that map for years.
 //!
-//! This is the crate to depend on. It re-exports the rooms of the workspace:
+//! This is the crate to depend on. It holds no code of its own: it re-exports the crates of the
+//! workspace.
 //!
-//! | module | holds |
-//! |---|---|
-//! | [`model`] | keys, manifolds, noise, the [`Factor`] trait, the graph and the [`Change`]; units, frames and conventions |
-//! | [`factors`] | priors, odometry, landmarks, GPS, partial states, linear (GLC) factors |
-//! | [`solver`] | the [`Smoother`]: incremental updates, batch optimization, relinearization |
-//! | [`removal`] | nodes taken out as ordinary changes, and what that costs |
-//! | [`formats`] | g2o, TORO and iSAM files, and their replay |
-//! | [`simulate`] | worlds with known truth |
-//! | [`evaluate`] | errors of a map against truth and against the batch optimum; what a reduced graph has lost |
+//! | module | holds | feature |
+//! |---|---|---|
+//! | [`model`] | keys, manifolds, noise, the [`Factor`] trait, the graph and the [`Change`]; units, frames and conventions | |
+//! | [`factors`] | priors, odometry, landmarks, GPS, partial states, linear (GLC) factors, and all of them as plain data | |
+//! | [`solver`] | the [`Smoother`]: incremental updates, batch optimization, relinearization, covariances | |
+//! | [`removal`] | nodes replaced by factors that keep their information, and the price of that | |
+//! | [`longterm`] | removals on a live smoother | |
+//! | [`initialize`] | start values, placement of landmarks, and the directions that measurements leave free | |
+//! | [`nalgebra`] | the linear algebra in public signatures, in the version that they use | |
+//! | `formats` | g2o, TORO, iSAM and PyFactorGraph files; TUM and KITTI trajectories | `formats` |
+//! | `replay` | files driven through a smoother; audits against the batch optimum | `replay` |
+//! | `simulate` | worlds with known truth | `simulate` |
+//! | `evaluate` | errors of a map against truth; the loss of a reduced graph | `evaluate` |
+//!
+//! All features are on by default. A program on a robot can leave them out:
+//! `evergraph = { version = "0.1", default-features = false }`. The feature `replay` includes
+//! `formats`, and so does `simulate`; `evaluate` includes `replay`.
 //!
 //! # Embed it
 //!
@@ -51,18 +60,23 @@
 //!
 //! # Replay a file
 //!
+//! With the feature `replay`:
+//!
 //! ```no_run
+//! # #[cfg(feature = "replay")]
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! use evergraph::prelude::*;
 //!
-//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let document = Document::read("manhattan.g2o", &ReadOptions::default())?;
 //! let mut replayer = Replayer::new(&document, &ReplayOptions::default(), Settings::default())?;
 //! while let Some(step) = replayer.step()? {
 //!     println!("{} {:?}", step.step.pose, step.update);
 //! }
-//! println!("error {}", replayer.error());
+//! println!("error {}", replayer.error()?);
 //! # Ok(())
 //! # }
+//! # #[cfg(not(feature = "replay"))]
+//! # fn main() {}
 //! ```
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
@@ -95,7 +109,7 @@ pub use evergraph_solver::{
     Phase, Profile, Report, Settings, Smoother, SmootherError, optimize_to_the_end,
 };
 
-/// What most programs need, in one line.
+/// The types that most programs need, in one line: `use evergraph::prelude::*`.
 pub mod prelude {
     pub use evergraph_factors::{
         Bearing2, Bearing3, BearingRange2, BearingRange3, BetweenPose2, BetweenPose3, Geodetic,
@@ -116,6 +130,6 @@ pub mod prelude {
 }
 
 /// Compiles the examples of the README.
-#[cfg(doctest)]
+#[cfg(all(doctest, feature = "evaluate", feature = "simulate"))]
 #[doc = include_str!("../../../README.md")]
 struct Readme;
