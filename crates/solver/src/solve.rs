@@ -348,6 +348,12 @@ impl State {
         self.scratch = scratch;
     }
 
+    /// Bytes of δ and the times of its changes.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        8 * (self.delta.capacity() + self.coarse.capacity())
+            + size_of::<(u64, u64)>() * self.changed.capacity()
+    }
+
     /// Feeds all of it but buffers to a hash; of variables, those that exist.
     pub(crate) fn hash_state(&self, graph: &Graph, hash: &mut impl Hasher) {
         let Self {
