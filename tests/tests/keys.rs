@@ -42,7 +42,7 @@ fn a_million_variables_come_and_go_in_a_few_slots() {
     let mut change = graph.change();
     change.add_factor(Prior::new(first_pose, Pose2::identity(), noise).unwrap());
     let error = graph.stage(&change).unwrap_err();
-    assert!(error.to_string().contains("was removed, or never added"), "{error}");
+    assert!(error.to_string().contains("it was removed, or"), "{error}");
 }
 
 #[test]

@@ -219,6 +219,9 @@ fn merged_changes_are_one() {
     merged.merge(removal.clone()).unwrap();
     world.apply(&merged).unwrap();
     assert_eq!(world.values.keys().copied().collect::<Vec<_>>(), [new]);
+    let mut late = world.graph.change();
+    late.require(old, version);
+    assert!(matches!(world.apply(&late), Err(GraphError::Stale { .. })));
     let foreign = Graph::new().change();
     assert!(matches!(merged.merge(foreign), Err(GraphError::Foreign { .. })));
     // Both drop the same.

@@ -119,6 +119,9 @@ impl Graph {
         mut kind: impl FnMut(&str) -> Option<&'static VariableType>,
         mut decode: impl FnMut(&F) -> Result<Arc<dyn Factor>, E>,
     ) -> Result<Self, E> {
+        if values.len() != saved.value_layout.len as usize {
+            return Err(damaged("the array of values has another length than its layout").into());
+        }
         let ids = Ids::of_lineage(saved.lineage);
         let mut graph = Self {
             used: saved.used()?,
@@ -130,7 +133,7 @@ impl Graph {
         let own = Used::nothing(graph.ids.origin());
         graph.used.push(own);
         graph.variables = load_variables(saved, values, &mut kind)?;
-        graph.check_layouts(values.len())?;
+        graph.check_layouts()?;
         for slot in 0..graph.variables.capacity() {
             let Some(&Variable { kind, tangent, fixed, .. }) = graph.variables.at(slot) else {
                 continue;
@@ -158,10 +161,7 @@ impl Graph {
     }
 
     /// Each number of the flat arrays belongs to one variable or to one free range.
-    fn check_layouts(&self, values: usize) -> Result<(), GraphError> {
-        if values != self.value_len() {
-            return Err(damaged("the array of values has another length than its layout"));
-        }
+    fn check_layouts(&self) -> Result<(), GraphError> {
         let variables = || self.variables.indices().filter_map(|slot| self.variables.at(slot));
         let fits = self.value_layout.is_covered_by(variables().map(|v| v.value))
             && self.tangent_layout.is_covered_by(variables().map(|v| v.tangent));

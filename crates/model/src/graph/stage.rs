@@ -8,7 +8,7 @@ use super::{Graph, Partial, Term, Used, Variable};
 use crate::change::Change;
 use crate::error::GraphError;
 use crate::factor::Factor;
-use crate::key::{FactorId, FactorIndex, VariableId, VariableIndex};
+use crate::key::{FactorId, FactorIndex, VariableId, VariableIndex, Version};
 use crate::manifold::VariableType;
 use crate::user_code::{guarded_factor, name_of};
 use crate::value::Value;
@@ -341,16 +341,7 @@ impl Graph {
         if change.lineage() != self.ids.lineage() {
             return Err(GraphError::Foreign { what: "the change".into() });
         }
-        for &(id, version) in &change.requires {
-            let now = self.variable(self.variable_index(id)?).version;
-            if now != version {
-                return Err(GraphError::Stale {
-                    reason: format!(
-                        "variable {id} is at version {now}, the change was planned at {version}"
-                    ),
-                });
-            }
-        }
+        change.requires.iter().try_for_each(|&(id, at)| self.check_version(id, at))?;
         let mut moved = Vec::with_capacity(change.moves.len());
         for (id, value) in &change.moves {
             moved.push(self.check_move(*id, value)?);
@@ -362,6 +353,21 @@ impl Graph {
         let drop_factors = self.check_factor_drops(change)?;
         let drop_variables = self.check_variable_drops(change, &drop_factors)?;
         Ok(References { drop_factors, drop_variables, moved })
+    }
+
+    /// A required version.
+    fn check_version(&self, id: VariableId, planned_at: Version) -> Result<(), GraphError> {
+        let stale = |reason| Err(GraphError::Stale { reason });
+        match self.variable_index(id).map(|index| self.variable(index).version) {
+            Ok(now) if now == planned_at => Ok(()),
+            Ok(now) => stale(format!(
+                "variable {id} is at version {now}, the change was planned at {planned_at}"
+            )),
+            Err(GraphError::UnknownVariable { .. }) => {
+                stale(format!("variable {id}, which it was planned with, is not in the graph"))
+            }
+            Err(error) => Err(error),
+        }
     }
 
     fn check_move(&self, id: VariableId, value: &Value) -> Result<VariableIndex, GraphError> {
