@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 /// How steps are chosen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Method {
     /// Undamped steps; stops, honestly, when one would raise the error.
     GaussNewton,

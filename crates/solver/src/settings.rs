@@ -8,6 +8,7 @@ use thiserror::Error;
 /// How the frontal variables of a clique are eliminated. Both give the same R up to signs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Elimination {
     /// Normal equations per clique. Faster, most of all in 3D; where a pivot has lost its digits,
     /// that subtree is eliminated again by QR.

@@ -30,7 +30,7 @@ fn smoother(relinearization: Relinearization) -> Smoother {
 /// Policies under which points move often.
 fn policies() -> [Relinearization; 4] {
     let every = |n| NonZeroU32::new(n).unwrap();
-    let fluid = Fluid { threshold: 0.01, share: 0.5, every: every(1) };
+    let fluid = Fluid::new(0.01, 0.5, every(1));
     let mut at_once = Relinearization::BOTH;
     (at_once.fluid, at_once.sweep, at_once.spread) = (Some(fluid), None, every(1));
     let mut spread = at_once;

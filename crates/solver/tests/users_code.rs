@@ -135,7 +135,7 @@ fn smoother(relinearization: Relinearization) -> Smoother {
 
 /// Checks after every change, spread over so many.
 fn fluid(spread: u32) -> Relinearization {
-    let fluid = Fluid { threshold: 0.01, share: 1.0, every: every(1) };
+    let fluid = Fluid::new(0.01, 1.0, every(1));
     let mut policy = Relinearization::BOTH;
     (policy.fluid, policy.sweep, policy.spread) = (Some(fluid), None, every(spread));
     policy
