@@ -27,11 +27,11 @@ const DENSE: usize = 300;
 /// When one of them does not hold; `at` says where that was.
 pub fn check_against_batch(smoother: &Smoother, at: &str) {
     let system = smoother.linear_system();
-    if system.columns == 0 {
+    if system.columns() == 0 {
         return;
     }
-    let jacobian = Sparse::new(system.rows, system.columns, &system.jacobian);
-    let factor = Sparse::new(system.columns, system.columns, &system.factor);
+    let jacobian = Sparse::new(system.rows(), system.columns(), system.jacobian());
+    let factor = Sparse::new(system.columns(), system.columns(), system.factor());
     check_factor(&jacobian, &factor, at);
     check_gradient(&jacobian, &system, at);
     check_solution(&jacobian, &factor, &system, at);
@@ -55,41 +55,43 @@ fn check_factor(jacobian: &Sparse, factor: &Sparse, at: &str) {
 }
 
 fn check_gradient(jacobian: &Sparse, system: &LinearSystem, at: &str) {
-    let mut residual = jacobian.times(&system.delta);
-    for (out, r) in residual.iter_mut().zip(&system.residual) {
+    let mut residual = jacobian.times(system.delta());
+    for (out, r) in residual.iter_mut().zip(system.residual()) {
         *out += r;
     }
     let left = max(&jacobian.transpose_times(&residual));
-    let mut scale = vec![0.0; system.columns];
+    let mut scale = vec![0.0; system.columns()];
     for (j, column) in jacobian.gram().iter().enumerate() {
         for &(i, x) in column {
-            scale[i] += x.abs() * system.delta[j].abs();
+            scale[i] += x.abs() * system.delta()[j].abs();
             if i != j {
-                scale[j] += x.abs() * system.delta[i].abs();
+                scale[j] += x.abs() * system.delta()[i].abs();
             }
         }
     }
-    for (s, g) in scale.iter_mut().zip(jacobian.transpose_times(&system.residual)) {
+    for (s, g) in scale.iter_mut().zip(jacobian.transpose_times(system.residual())) {
         *s += g.abs();
     }
-    let rounding =
-        10.0 * f64::EPSILON * max(&jacobian.column_norms_squared()).sqrt() * norm(&system.residual);
+    let rounding = 10.0
+        * f64::EPSILON
+        * max(&jacobian.column_norms_squared()).sqrt()
+        * norm(system.residual());
     let bound = (1e-10 * max(&scale)).max(rounding).max(NOTHING);
     assert!(left <= bound, "{at}: gradient {left} at the solution, allowed {bound}");
 }
 
 fn check_solution(jacobian: &Sparse, factor: &Sparse, system: &LinearSystem, at: &str) {
-    let rhs = faer::Col::from_fn(system.rows, |i| -system.residual[i]);
-    let fresh = if system.columns <= DENSE && system.rows <= 10 * DENSE {
-        let mut dense = faer::Mat::<f64>::zeros(system.rows, system.columns);
-        system.jacobian.iter().for_each(|&(i, j, x)| dense[(i, j)] += x);
+    let rhs = faer::Col::from_fn(system.rows(), |i| -system.residual()[i]);
+    let fresh = if system.columns() <= DENSE && system.rows() <= 10 * DENSE {
+        let mut dense = faer::Mat::<f64>::zeros(system.rows(), system.columns());
+        system.jacobian().iter().for_each(|&(i, j, x)| dense[(i, j)] += x);
         dense.qr().solve_lstsq(&rhs)
     } else {
-        let entries = system.jacobian.iter().map(|&(i, j, x)| Triplet::new(i, j, x));
+        let entries = system.jacobian().iter().map(|&(i, j, x)| Triplet::new(i, j, x));
         let entries: Vec<_> = entries.collect();
         let sparse = SparseColMat::<usize, f64>::try_new_from_triplets(
-            system.rows,
-            system.columns,
+            system.rows(),
+            system.columns(),
             &entries,
         );
         let sparse = sparse.expect("entries of J lie inside it");
@@ -97,11 +99,11 @@ fn check_solution(jacobian: &Sparse, factor: &Sparse, system: &LinearSystem, at:
     };
     let (mut off, mut size) = (0.0_f64, 0.0_f64);
     for (i, h) in jacobian.column_norms_squared().into_iter().enumerate() {
-        off = off.max(h.sqrt() * (system.delta[i] - fresh[i]).abs());
+        off = off.max(h.sqrt() * (system.delta()[i] - fresh[i]).abs());
         size = size.max(h.sqrt() * fresh[i].abs());
     }
     let rounding = 10.0 * f64::EPSILON * condition(jacobian, factor);
-    let residual = norm(&system.residual);
+    let residual = norm(system.residual());
     assert!(
         off <= rounding.max(1e-9) * size || off <= (rounding * residual).max(NOTHING),
         "{at}: δ is off by {off} of {size}, residual {residual}, rounding {rounding}"

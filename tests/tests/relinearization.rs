@@ -83,7 +83,7 @@ fn the_background_finds_what_a_batch_finds_and_any_run_the_same() {
             let report = smoother.apply(change).unwrap();
             assert!(report.relinearization_refused.is_none());
         }
-        let found = smoother.error();
+        let found = smoother.error().unwrap();
         let best = smoother.clone().optimize(&BatchSettings::default()).unwrap().error;
         assert!(found - best <= 1e-6 * best, "{found}, best {best}");
         smoother.fingerprint()

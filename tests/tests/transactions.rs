@@ -288,7 +288,7 @@ fn work_follows_what_is_touched() {
 #[test]
 fn one_estimate_is_that_of_all() {
     let (smoother, poses) = chain();
-    let all = smoother.estimates();
+    let all = smoother.estimates().unwrap();
     for pose in poses {
         assert_eq!(smoother.estimate(pose).unwrap(), all.get(pose).unwrap());
     }

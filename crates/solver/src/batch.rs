@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 /// How steps are chosen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Method {
     /// Undamped steps; stops, honestly, when one would raise the error.
     GaussNewton,
@@ -19,6 +20,7 @@ pub enum Method {
 
 /// When to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct BatchSettings {
     /// How steps are chosen.
     pub method: Method,
@@ -37,6 +39,24 @@ impl Default for BatchSettings {
 }
 
 impl BatchSettings {
+    /// With another method.
+    pub const fn with_method(mut self, method: Method) -> Self {
+        self.method = method;
+        self
+    }
+
+    /// With at most so many linearizations.
+    pub const fn with_max_iterations(mut self, max_iterations: u32) -> Self {
+        self.max_iterations = max_iterations;
+        self
+    }
+
+    /// With another [share](Self::relative_decrease) of the error as the end.
+    pub const fn with_relative_decrease(mut self, relative_decrease: f64) -> Self {
+        self.relative_decrease = relative_decrease;
+        self
+    }
+
     /// For the batch steps within a replay: to convergence as far as the next measurement can
     /// tell.
     pub(crate) fn periodic() -> Self {
@@ -68,6 +88,7 @@ pub enum Reason {
 
 /// What a batch optimization did.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct BatchReport {
     /// How it ended.
     #[serde(flatten)]

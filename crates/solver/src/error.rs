@@ -14,7 +14,7 @@ use crate::settings::SettingsError;
 /// what to do about them:
 ///
 /// - *A component without a prior.* Measurements between variables say nothing about where the
-///   whole lies. Put a prior (or GPS, or any absolute measurement) on one variable of it.
+///   whole lies. Put a prior (or GPS, or any absolute measurement) on one variable of it, or fix one.
 /// - *A variable with too few measurements*: a landmark seen by one bearing, a heading that only
 ///   GPS positions speak of. Add the variable together with the measurement that completes it.
 /// - *Weights of zero*: an information matrix with zero rows.
@@ -76,7 +76,7 @@ pub enum Singular {
         variables: Vec<FreeVariable>,
     },
     /// All variables of a connected component can move together.
-    #[error("the connected component of {} ({count} variable{}) can move as a whole in {free} direction{}: nothing says where it is, or nothing of a weight that tells beside the others'. Put a prior, GPS or another absolute measurement on one of its variables", list(examples), if *count == 1 { "" } else { "s" }, if *free == 1 { "" } else { "s" })]
+    #[error("the connected component of {} ({count} variable{}) can move as a whole in {free} direction{}: no measurement fixes its position, or only measurements far too weak relative to the rest. Put a prior, GPS or another absolute measurement on one of its variables, or fix one", list(examples), if *count == 1 { "" } else { "s" }, if *free == 1 { "" } else { "s" })]
     Component {
         /// A few of its variables.
         examples: Vec<VariableId>,

@@ -181,6 +181,12 @@ impl EstimateCache {
         self.estimates[range.clone()].copy_from_slice(&points[range]);
     }
 
+    /// Bytes of the cache.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        8 * (self.estimates.capacity() + self.delta.capacity())
+            + size_of::<Option<Variable>>() * self.variables.capacity()
+    }
+
     /// Whether any of these variables has changed since `then`.
     fn has_changed(&self, variables: &[VariableIndex], then: u64) -> bool {
         variables.iter().any(|&v| self.variable(v).changed > then)

@@ -9,20 +9,50 @@ use crate::solve;
 /// `‖Jδ + r‖²`, its factor R, and the solution, over scalars in the order of elimination.
 #[derive(Clone, Debug)]
 pub struct LinearSystem {
+    rows: usize,
+    columns: usize,
+    jacobian: Vec<(usize, usize, f64)>,
+    residual: Vec<f64>,
+    factor: Vec<(usize, usize, f64)>,
+    rhs: Vec<f64>,
+    delta: Vec<f64>,
+}
+
+impl LinearSystem {
     /// Rows of J.
-    pub rows: usize,
-    /// Columns of J and R.
-    pub columns: usize,
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Columns of J and R: scalars of the variables that are not fixed.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
     /// Entries of J: row, column, value.
-    pub jacobian: Vec<(usize, usize, f64)>,
+    pub fn jacobian(&self) -> &[(usize, usize, f64)] {
+        &self.jacobian
+    }
+
     /// r.
-    pub residual: Vec<f64>,
+    pub fn residual(&self) -> &[f64] {
+        &self.residual
+    }
+
     /// Entries of R in its upper triangle: row, column, value.
-    pub factor: Vec<(usize, usize, f64)>,
+    pub fn factor(&self) -> &[(usize, usize, f64)] {
+        &self.factor
+    }
+
     /// d, with `Rᵀd = Jᵀr`.
-    pub rhs: Vec<f64>,
+    pub fn rhs(&self) -> &[f64] {
+        &self.rhs
+    }
+
     /// δ by back-substitution.
-    pub delta: Vec<f64>,
+    pub fn delta(&self) -> &[f64] {
+        &self.delta
+    }
 }
 
 impl Smoother {

@@ -11,7 +11,15 @@ pub(crate) struct Blocks {
     places: Vec<Place>,
     /// Starts of free places, by length.
     free: Vec<(usize, Vec<usize>)>,
+    /// Numbers in free places.
+    free_len: usize,
 }
+
+/// The array is compacted when free places hold more numbers than this ...
+const SPARE: usize = 1 << 14;
+/// ... and than this many times those in use. A place is used again only for a block of the same
+/// length, and dense factors come in ever new lengths.
+const SPARE_SHARE: usize = 1;
 
 /// A block in the array: start and length; length 0 for none.
 pub(crate) type Place = (usize, usize);
@@ -122,16 +130,22 @@ impl Blocks {
 
     fn take(&mut self, len: usize) -> Place {
         let free = self.free.iter_mut().find(|(l, _)| *l == len);
-        let start = free.and_then(|(_, starts)| starts.pop()).unwrap_or_else(|| {
-            let end = self.data.len();
-            self.data.resize(end + len, 0.0);
-            end
-        });
-        (start, len)
+        match free.and_then(|(_, starts)| starts.pop()) {
+            Some(start) => {
+                self.free_len -= len;
+                (start, len)
+            }
+            None => {
+                let end = self.data.len();
+                self.data.resize(end + len, 0.0);
+                (end, len)
+            }
+        }
     }
 
     /// Frees a place that no factor refers to.
     pub(crate) fn release(&mut self, (start, len): Place) {
+        self.free_len += len;
         match self.free.iter_mut().find(|(l, _)| *l == len) {
             _ if len == 0 => {}
             Some((_, starts)) => starts.push(start),
@@ -139,9 +153,28 @@ impl Blocks {
         }
     }
 
+    /// Moves all blocks, those of an overlay too, to the front of the array when it is mostly free.
+    /// Copies every number, and leaves nothing free: over many steps it costs a copy for each
+    /// number that was released.
+    pub(crate) fn compact(&mut self, overlay: &mut Overlay) {
+        let used = self.data.len() - self.free_len;
+        if self.free_len <= SPARE + SPARE_SHARE * used {
+            return;
+        }
+        let mut data = Vec::with_capacity(used);
+        for place in self.places.iter_mut().chain(&mut overlay.places) {
+            let start = data.len();
+            data.extend_from_slice(&self.data[place.0..place.0 + place.1]);
+            place.0 = start;
+        }
+        self.data = data;
+        self.free = Vec::new();
+        self.free_len = 0;
+    }
+
     /// Bytes of the arrays.
     pub(crate) fn memory_bytes(&self) -> usize {
-        let free: usize = self.free.iter().map(|(_, starts)| size_of_val(&starts[..])).sum();
+        let free: usize = self.free.iter().map(|(_, starts)| 8 * starts.capacity()).sum();
         8 * self.data.capacity() + size_of::<Place>() * self.places.capacity() + free
     }
 }

@@ -201,6 +201,11 @@ impl Pending {
         &self.blocks
     }
 
+    /// [`overlay`](Self::overlay), for moving its blocks in memory.
+    pub(crate) fn overlay_mut(&mut self) -> &mut Overlay {
+        &mut self.blocks
+    }
+
     /// The variables that still exist.
     pub(crate) fn variables<'a>(
         &'a self,

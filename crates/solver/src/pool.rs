@@ -6,11 +6,11 @@ pub(crate) struct Pool {
     classes: Vec<Vec<Vec<f64>>>,
     /// Numbers that the free buffers hold together.
     free: usize,
-    /// Numbers in buffers taken and not given back.
-    taken: usize,
+    /// Numbers that all free buffers may hold together, beyond [`KEPT`].
+    allowed: usize,
 }
 
-/// Free buffers are kept up to this share of what is in use ...
+/// Free buffers are kept up to this many times what is in use ...
 const KEPT_SHARE: usize = 1;
 /// ... and this many numbers: enough for the top of any tree.
 const KEPT: usize = 1 << 17;
@@ -18,10 +18,24 @@ const KEPT: usize = 1 << 17;
 const BATCH: usize = 1 << 13;
 
 impl Pool {
+    /// Sets how many numbers the cliques hold that are in use, which bounds the free ones; what is
+    /// beyond the bound is freed, large buffers first.
+    pub(crate) fn set_in_use(&mut self, numbers: usize) {
+        self.allowed = KEPT_SHARE * numbers;
+        if self.free <= KEPT + self.allowed {
+            return;
+        }
+        for buffers in self.classes.iter_mut().rev() {
+            while self.free > KEPT + self.allowed {
+                let Some(buffer) = buffers.pop() else { break };
+                self.free -= buffer.capacity();
+            }
+        }
+    }
+
     /// A buffer of `len` zeros.
     pub(crate) fn take(&mut self, len: usize) -> Vec<f64> {
         let (class, capacity) = class_of(len);
-        self.taken += capacity;
         if self.classes.len() <= class {
             self.classes.resize_with(class + 1, Vec::new);
         }
@@ -41,11 +55,9 @@ impl Pool {
     /// Takes a buffer back, to use it again or, when there are many, to free it.
     pub(crate) fn give(&mut self, mut buffer: Vec<f64>) {
         let (class, capacity) = class_of(buffer.capacity());
-        // Buffers from another thread's pool were not taken here.
-        self.taken = self.taken.saturating_sub(capacity);
         // One that has grown elsewhere may fit no class.
         let fits = buffer.capacity() == capacity;
-        if fits && self.free + capacity <= KEPT + self.taken / KEPT_SHARE {
+        if fits && self.free + capacity <= KEPT + self.allowed {
             buffer.clear();
             self.free += capacity;
             match self.classes.get_mut(class) {
@@ -56,6 +68,13 @@ impl Pool {
                 }
             }
         }
+    }
+}
+
+impl Pool {
+    /// Bytes of the free buffers.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        8 * self.free
     }
 }
 
@@ -90,5 +109,20 @@ mod tests {
         let again = pool.take(99);
         assert_eq!(again.as_ptr(), place);
         assert!(again.iter().all(|x| *x == 0.0));
+    }
+
+    #[test]
+    fn free_buffers_are_bounded_by_what_is_in_use() {
+        let mut pool = Pool::default();
+        let large = || Vec::with_capacity(class_of(1 << 16).1);
+        pool.set_in_use(1 << 20);
+        (0..100).for_each(|_| pool.give(large()));
+        assert!(pool.free > 1 << 20 && pool.free <= KEPT + (1 << 20), "{}", pool.free);
+        pool.set_in_use(1000);
+        assert!(pool.free <= KEPT + 1000, "{}", pool.free);
+        (0..100).for_each(|_| pool.give(large()));
+        assert!(pool.free <= KEPT + 1000, "{}", pool.free);
+        let kept: usize = pool.classes.iter().flatten().map(Vec::capacity).sum();
+        assert_eq!(pool.free, kept);
     }
 }

@@ -7,6 +7,7 @@ use serde::Serialize;
 /// What an update spends its time on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Phase {
     /// Checking changes, adding to the graph, and committing; in a batch, trying steps.
     Stage,

@@ -199,6 +199,15 @@ impl Smoother {
         self.factorization.tree.pivot_ratio()
     }
 
+    /// Bytes of memory that the smoother holds beside its graph: linear system, factorization,
+    /// solution, cached estimates, and the buffers whose size follows them. Bounded by a multiple of
+    /// the factors and cliques in use. O(1).
+    pub fn memory_bytes(&self) -> usize {
+        self.factorization.memory_bytes()
+            + self.estimate_cache.memory_bytes()
+            + self.engine.memory_bytes()
+    }
+
     /// A hash of every bit of the state that later answers depend on: graph with its free slots and
     /// versions, linearization points, Jacobians, the tree with all of its numbers and pivot ratios,
     /// δ as last propagated, the pending relinearization with its factors and cliques, the last

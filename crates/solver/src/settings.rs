@@ -8,6 +8,7 @@ use thiserror::Error;
 /// How the frontal variables of a clique are eliminated. Both give the same R up to signs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Elimination {
     /// Normal equations per clique. Faster, most of all in 3D; where a pivot has lost its digits,
     /// that subtree is eliminated again by QR.
@@ -20,6 +21,7 @@ pub enum Elimination {
 /// Look, every `every` changes, whether an estimate lies further than `threshold` from its
 /// linearization point, and relinearize.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Fluid {
     /// Largest component of δ that is tolerated (m and rad alike). Smaller is more exact and
     /// slower.
@@ -33,6 +35,7 @@ pub struct Fluid {
 
 /// When linearization points move to the estimate: a policy, as data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Relinearization {
     /// The frequent check for what has moved far.
     pub fluid: Option<Fluid>,
@@ -59,6 +62,12 @@ const fn interval(n: u32) -> NonZeroU32 {
 }
 
 impl Fluid {
+    /// A check for variables beyond `threshold`, every `every` changes, that moves those beyond
+    /// `share` of it.
+    pub const fn new(threshold: f64, share: f64, every: NonZeroU32) -> Self {
+        Self { threshold, share, every }
+    }
+
     /// Variables beyond this are relinearized when one is beyond the threshold.
     pub(crate) fn reach(&self) -> f64 {
         self.share * self.threshold
@@ -97,6 +106,36 @@ impl Relinearization {
     pub const fn every(n: NonZeroU32) -> Self {
         Self { batch: Some(n), ..Self::NEVER }
     }
+
+    /// With another frequent check, or none.
+    pub const fn with_fluid(mut self, fluid: Option<Fluid>) -> Self {
+        self.fluid = fluid;
+        self
+    }
+
+    /// With another rare check, or none.
+    pub const fn with_sweep(mut self, sweep: Option<Fluid>) -> Self {
+        self.sweep = sweep;
+        self
+    }
+
+    /// With the work of a check spread over so many changes.
+    pub const fn with_spread(mut self, spread: NonZeroU32) -> Self {
+        self.spread = spread;
+        self
+    }
+
+    /// With a batch step every so many changes, or none.
+    pub const fn with_batch(mut self, batch: Option<NonZeroU32>) -> Self {
+        self.batch = batch;
+        self
+    }
+
+    /// With the batch step in the background, taken over so many changes later, or not.
+    pub const fn with_background(mut self, background: Option<NonZeroU32>) -> Self {
+        self.background = background;
+        self
+    }
 }
 
 impl Default for Relinearization {
@@ -106,7 +145,19 @@ impl Default for Relinearization {
 }
 
 /// The settings of a smoother.
+///
+/// Built from the defaults by assigning fields, or in a chain:
+///
+/// ```
+/// use evergraph_solver::{Elimination, Settings};
+///
+/// let settings = Settings::default().with_elimination(Elimination::Qr).with_threads(2);
+/// assert!(settings.check().is_ok());
+/// ```
+///
+/// As data it may be partial; unknown fields are errors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// How cliques are eliminated. Default: Cholesky.
     pub elimination: Elimination,
@@ -115,7 +166,7 @@ pub struct Settings {
     /// Between updates δ is only propagated down the tree where it moved by more than this (m and
     /// rad); between sweeps by more than 0.4 of the check's threshold, so that a check sees roughly
     /// what has moved, and a sweep exactly. It decides what a relinearization check sees; estimates that are asked for are exact, or
-    /// to within what [`Smoother::kept_estimates`](crate::Smoother::kept_estimates) is given.
+    /// to within what [`Smoother::cached_estimates`](crate::Smoother::cached_estimates) is given.
     /// Default 1e-3.
     pub back_substitution_tolerance: f64,
     /// Threads for elimination; 1 never starts another. Results do not depend on it. Default 1.
@@ -146,6 +197,30 @@ pub struct SettingsError {
 }
 
 impl Settings {
+    /// With another way to eliminate cliques.
+    pub const fn with_elimination(mut self, elimination: Elimination) -> Self {
+        self.elimination = elimination;
+        self
+    }
+
+    /// With another policy for linearization points.
+    pub const fn with_relinearization(mut self, relinearization: Relinearization) -> Self {
+        self.relinearization = relinearization;
+        self
+    }
+
+    /// With another [tolerance](Self::back_substitution_tolerance) (m and rad).
+    pub const fn with_back_substitution_tolerance(mut self, tolerance: f64) -> Self {
+        self.back_substitution_tolerance = tolerance;
+        self
+    }
+
+    /// With so many threads for elimination.
+    pub const fn with_threads(mut self, threads: usize) -> Self {
+        self.threads = threads;
+        self
+    }
+
     /// Checks every field.
     ///
     /// # Errors
@@ -187,6 +262,19 @@ fn non_negative(field: &'static str, value: f64) -> Result<(), SettingsError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn settings_are_read_from_partial_data() {
+        let read = |text| serde_json::from_str::<Settings>(text);
+        assert_eq!(read("{}").unwrap(), Settings::default());
+        let some = r#"{"threads": 2, "relinearization": {"sweep": null}}"#;
+        let expected =
+            Settings::default().with_threads(2).with_relinearization(Relinearization::FLUID);
+        assert_eq!(read(some).unwrap(), expected);
+        for typo in [r#"{"thread": 2}"#, r#"{"relinearization": {"sweeps": null}}"#] {
+            assert!(read(typo).unwrap_err().to_string().contains("unknown field"), "{typo}");
+        }
+    }
 
     #[test]
     fn bad_settings_are_named() {

@@ -205,6 +205,7 @@ impl Smoother {
             // A relinearization in progress was for other points than these.
             pending.clear(&mut factorization.blocks, &mut engine.workspace.pool);
         }
+        factorization.trim(pending, engine);
         match takeover {
             Takeover::Nothing => {}
             // Where points have just moved, the next check comes at once.

@@ -348,6 +348,12 @@ impl State {
         self.scratch = scratch;
     }
 
+    /// Bytes of δ and the times of its changes.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        8 * (self.delta.capacity() + self.coarse.capacity())
+            + size_of::<(u64, u64)>() * self.changed.capacity()
+    }
+
     /// Feeds all of it but buffers to a hash; of variables, those that exist.
     pub(crate) fn hash_state(&self, graph: &Graph, hash: &mut impl Hasher) {
         let Self {
@@ -382,16 +388,19 @@ impl State {
     ) -> Moved {
         let Self { far, seen, delta, .. } = self;
         seen.resize(graph.variable_slots(), false);
-        let delta_of = |v: VariableIndex| &delta[graph.tangent_range(v)];
-        let beyond = |v: VariableIndex, limit: f64| {
-            graph.is_variable_at(v) && delta_of(v).iter().any(|d| d.abs() > limit)
+        let largest_of = |v: VariableIndex| {
+            delta[graph.tangent_range(v)].iter().fold(0.0, |largest: f64, d| largest.max(d.abs()))
         };
-        far.retain(|&v| beyond(v, smallest) && !std::mem::replace(&mut seen[v.index()], true));
+        let mut largest: f64 = 0.0;
+        far.retain(|&v| {
+            let own = if graph.is_variable_at(v) { largest_of(v) } else { 0.0 };
+            largest = largest.max(own);
+            own > smallest && !std::mem::replace(&mut seen[v.index()], true)
+        });
         far.iter().for_each(|&v| seen[v.index()] = false);
-        let components = far.iter().flat_map(|&v| delta_of(v).iter());
-        let largest = components.fold(0.0, |largest: f64, d| largest.max(d.abs()));
-        let variables = match far.iter().any(|&v| beyond(v, threshold)) {
-            true => far.iter().copied().filter(|&v| beyond(v, reach)).collect(),
+        let largest = if far.is_empty() { 0.0 } else { largest };
+        let variables = match largest > threshold {
+            true => far.iter().copied().filter(|&v| largest_of(v) > reach).collect(),
             false => Vec::new(),
         };
         Moved { variables, largest }

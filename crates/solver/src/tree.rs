@@ -181,8 +181,13 @@ pub(crate) struct Clique {
     pub(crate) birth: u64,
 }
 
+/// The clique array is shortened when it has more slots than this ...
+const FEW_SLOTS: usize = 1024;
+/// ... and than this many times the living cliques.
+const SLOT_SHARE: usize = 4;
+
 /// The cliques, and which of them eliminates each variable.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub(crate) struct Tree {
     cliques: Vec<Option<Clique>>,
     free: Vec<CliqueIndex>,
@@ -190,6 +195,24 @@ pub(crate) struct Tree {
     clique_of: Vec<CliqueIndex>,
     pub(crate) roots: BTreeSet<CliqueIndex>,
     births: u64,
+    /// Numbers in the buffers of all cliques.
+    numbers: usize,
+}
+
+impl Clone for Tree {
+    /// With buffers of just the size of their contents.
+    fn clone(&self) -> Self {
+        let cliques = self.cliques.clone();
+        let numbers = cliques.iter().flatten().map(|clique| clique.numeric.data.capacity()).sum();
+        Self {
+            cliques,
+            free: self.free.clone(),
+            clique_of: self.clique_of.clone(),
+            roots: self.roots.clone(),
+            births: self.births,
+            numbers,
+        }
+    }
 }
 
 impl Tree {
@@ -229,11 +252,13 @@ impl Tree {
 
     /// Whether a clique is still there, unchanged but for its numbers.
     pub(crate) fn is_alive(&self, index: CliqueIndex, birth: u64) -> bool {
-        self.cliques[index.index()].as_ref().is_some_and(|clique| clique.birth == birth)
+        let clique = self.cliques.get(index.index()).and_then(Option::as_ref);
+        clique.is_some_and(|clique| clique.birth == birth)
     }
 
     pub(crate) fn insert(&mut self, mut clique: Clique) -> CliqueIndex {
         self.births += 1;
+        self.numbers += clique.numeric.data.capacity();
         clique.birth = self.births;
         let index = match self.free.pop() {
             Some(index) => index,
@@ -255,6 +280,7 @@ impl Tree {
     pub(crate) fn remove(&mut self, index: CliqueIndex) -> Option<Clique> {
         let clique = self.cliques[index.index()].take()?;
         self.free.push(index);
+        self.numbers -= clique.numeric.data.capacity();
         self.roots.remove(&index);
         for &v in &clique.structure.frontals {
             self.clique_of[v.index()] = CliqueIndex::NONE;
@@ -269,9 +295,12 @@ impl Tree {
         numeric: Numeric,
         pool: &mut Pool,
     ) {
+        let new = numeric.data.capacity();
         let clique = self.clique_mut(index);
-        pool.give(std::mem::replace(&mut clique.numeric, numeric).data);
+        let old = std::mem::replace(&mut clique.numeric, numeric).data;
         (clique.solved, clique.cached) = (0, 0);
+        self.numbers = self.numbers + new - old.capacity();
+        pool.give(old);
     }
 
     /// Tells the children of a new clique that it is their parent.
@@ -331,7 +360,7 @@ impl Tree {
     /// Feeds structure and numbers to a hash; not when estimates were cached, on which no later
     /// answer depends.
     pub(crate) fn hash_state(&self, hash: &mut impl Hasher) {
-        let Self { cliques, free, clique_of, roots, births } = self;
+        let Self { cliques, free, clique_of, roots, births, numbers: _ } = self;
         (free, roots, clique_of, births).hash(hash);
         for (index, clique) in cliques.iter().enumerate() {
             let Some(clique) = clique else { continue };
@@ -356,7 +385,26 @@ impl Tree {
 
     /// Numbers in the buffers of all cliques.
     pub(crate) fn numbers(&self) -> usize {
-        self.cliques.iter().flatten().map(|clique| clique.numeric.data.capacity()).sum()
+        self.numbers
+    }
+
+    /// Frees slots at the end of the clique array when most are empty.
+    pub(crate) fn trim(&mut self) {
+        if self.cliques.len() <= FEW_SLOTS + SLOT_SHARE * self.len() {
+            return;
+        }
+        while self.cliques.pop_if(|clique| clique.is_none()).is_some() {}
+        let end = self.cliques.len();
+        self.free.retain(|index| index.index() < end);
+        self.cliques.shrink_to(2 * end);
+        self.free.shrink_to(2 * end);
+    }
+
+    /// Bytes of structure and numbers.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        let slots = size_of::<Option<Clique>>() * self.cliques.capacity();
+        let lists = size_of::<CliqueIndex>() * (self.free.capacity() + self.clique_of.capacity());
+        slots + lists + 8 * self.numbers
     }
 
     /// Smallest pivot ratio of the whole factorization; infinite for an empty tree.

@@ -15,7 +15,7 @@ mod slice;
 mod system;
 mod workspace;
 
-pub(crate) use job::{Child, Eliminated, Failure, Job, NodeStructure};
+pub(crate) use job::{Child, Eliminated, Failure, Job, Node, NodeStructure};
 pub(crate) use slice::eliminate_pending;
 pub(crate) use system::System;
 pub(crate) use workspace::Workspace;

@@ -40,7 +40,24 @@ pub(crate) struct Workspace {
     pub(super) square: Vec<f64>,
 }
 
+/// The dense matrix is freed when it holds more numbers than this ...
+const FEW_NUMBERS: usize = 1 << 17;
+/// ... and than this many times those of all cliques.
+const NUMBER_SHARE: usize = 4;
+
 impl Workspace {
+    /// Frees a dense matrix that is far larger than one which a tree of so many numbers needs.
+    pub(crate) fn trim(&mut self, numbers: usize) {
+        if self.square.capacity() > FEW_NUMBERS + NUMBER_SHARE * numbers {
+            self.square = Vec::new();
+        }
+    }
+
+    /// Bytes of the pool and the dense matrix.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        self.pool.memory_bytes() + 8 * self.square.capacity()
+    }
+
     /// Numbers the scalars of a front.
     #[inline(always)]
     pub(super) fn place(&mut self, system: &System<'_>, structure: &Structure) {

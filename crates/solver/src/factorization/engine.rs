@@ -6,11 +6,11 @@ use evergraph_model::FactorIndex;
 
 use super::undo::Undo;
 use crate::dense::Instructions;
-use crate::eliminate::{Eliminated, Workspace};
+use crate::eliminate::{Eliminated, Node, Workspace};
 use crate::index::CliqueIndex;
 use crate::planner::{Plan, Planner};
 use crate::settings::Elimination;
-use crate::tree::Clique;
+use crate::tree::{Clique, Numeric};
 
 /// How factorizations are computed, with the buffers for it. No part of any state: a clone starts
 /// with empty buffers.
@@ -23,6 +23,11 @@ pub(crate) struct Engine {
     pub(crate) workspace: Workspace,
     pub(super) buffers: Buffers,
 }
+
+/// Buffers for nodes are freed when they hold more than this ...
+const FEW_NODES: usize = 1024;
+/// ... and than this many times the cliques of the tree.
+const NODE_SHARE: usize = 4;
 
 /// Results of earlier updates, whose memory the next ones use again.
 #[derive(Debug, Default)]
@@ -52,6 +57,25 @@ impl Engine {
             workspace: Workspace::default(),
             buffers: Buffers::default(),
         }
+    }
+
+    /// Frees buffers that are far larger than a tree of so many cliques and numbers needs.
+    pub(crate) fn trim(&mut self, cliques: usize, numbers: usize) {
+        let Buffers { plan, eliminated, .. } = &self.buffers;
+        let nodes = plan.job.nodes.capacity().max(eliminated.nodes.capacity());
+        if nodes > FEW_NODES + NODE_SHARE * cliques {
+            self.planner = Planner::default();
+            self.buffers = Buffers::default();
+        }
+        self.workspace.trim(numbers);
+    }
+
+    /// Bytes of the buffers whose size follows that of the factorization.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        let Buffers { plan, eliminated, .. } = &self.buffers;
+        let nodes = size_of::<Node>() * plan.job.nodes.capacity()
+            + size_of::<Option<Numeric>>() * eliminated.nodes.capacity();
+        nodes + self.workspace.memory_bytes()
     }
 
     /// An old plan, for the next one to fill.

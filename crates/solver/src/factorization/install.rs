@@ -40,6 +40,7 @@ impl Factorization {
                 NodeStructure::Prefix { split: at, structure, .. } => {
                     let whole = shortened[at].take().expect("each split has one node");
                     if numeric.is_without_panel() {
+                        // Out of the tree: its numbers are no longer counted there.
                         let mut shorter = whole.numeric;
                         shorter.shorten(&numeric);
                         pool.give(numeric.data);
@@ -74,6 +75,7 @@ impl Factorization {
         for (clique, numeric) in std::mem::take(&mut eliminated.kept) {
             tree.replace_numeric(clique, numeric, pool);
         }
+        pool.set_in_use(tree.numbers());
         engine.buffers.plan = plan;
         engine.buffers.eliminated = eliminated;
     }

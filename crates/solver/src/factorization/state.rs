@@ -161,6 +161,24 @@ impl Factorization {
         retract_all(&self.graph, &self.points, &delta)
     }
 
+    /// Frees memory that is no longer needed, where there is much of it.
+    pub(crate) fn trim(&mut self, pending: &mut Pending, engine: &mut Engine) {
+        self.blocks.compact(pending.overlay_mut());
+        if !pending.is_active() {
+            self.tree.trim();
+        }
+        engine.trim(self.tree.len(), self.tree.numbers());
+    }
+
+    /// Bytes of points, blocks, tree and δ.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        let numbers = 8 * self.points.capacity();
+        numbers
+            + self.blocks.memory_bytes()
+            + self.tree.memory_bytes()
+            + self.solution.memory_bytes()
+    }
+
     /// Feeds everything that later answers depend on to a hash. Where blocks stand in memory does
     /// not count.
     pub(crate) fn hash_state(&self, hash: &mut impl Hasher) {

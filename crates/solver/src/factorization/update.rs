@@ -1,6 +1,6 @@
 //! From a staged change to new cliques, and back where that fails.
 
-use evergraph_model::{Change, FactorIndex, GraphError, Staged, VariableIndex};
+use evergraph_model::{Change, FactorIndex, Staged, VariableIndex};
 
 use super::engine::Engine;
 use super::state::Factorization;
@@ -134,7 +134,7 @@ impl Factorization {
     fn newest_after(&self, staged: &Staged) -> Option<VariableIndex> {
         let new = staged.new_variables().filter(|&v| !self.graph.is_fixed_at(v));
         let stays = |v: &VariableIndex| {
-            staged.dropped_variables().binary_search(v).is_err() && !staged.fixed().contains(v)
+            staged.dropped_variables().binary_search(v).is_err() && !self.graph.is_fixed_at(*v)
         };
         new.max_by_key(|&v| self.graph.dim_at(v)).or(self.newest.filter(stays))
     }
@@ -189,32 +189,36 @@ impl Factorization {
             undo.save_point(&self.graph, &self.points, variable);
             self.points[self.graph.value_range(variable)].copy_from_slice(value.storage());
         }
-        let moves = undo.moved().len();
-        for &variable in staged.fixed() {
-            // A new one is in no clique.
-            let is_new = self.tree.clique_of(variable).some().is_none();
-            if !is_new && !undo.moved()[..moves].contains(&variable) {
-                let estimate = self.estimate_before_fixing(variable, engine)?;
-                undo.save_point(&self.graph, &self.points, variable);
-                self.points[self.graph.value_range(variable)].copy_from_slice(&estimate);
-            }
-        }
-        Ok(())
+        self.fix_points(staged, undo, engine)
     }
 
-    /// The estimate of a variable which the staged graph has as fixed, and the tree as unknown.
-    fn estimate_before_fixing(
-        &self,
-        variable: VariableIndex,
+    /// Moves variables that are fixed to their estimates, unless they are new or the change moves
+    /// them.
+    fn fix_points(
+        &mut self,
+        staged: &Staged,
+        undo: &mut Undo,
         engine: &Engine,
-    ) -> Result<Vec<f64>, GraphError> {
-        let point = &self.points[self.graph.value_range(variable)];
-        let mut estimate = point.to_vec();
-        if !self.solution.is_at_points {
-            let delta = self.deltas(engine.instructions, &[variable]);
-            self.graph.retract(variable, point, &delta[0], &mut estimate)?;
+    ) -> Result<(), SmootherError> {
+        if staged.fixed().is_empty() || self.solution.is_at_points {
+            return Ok(());
         }
-        Ok(estimate)
+        // A new one is in no clique.
+        let is_old = |v: &&VariableIndex| self.tree.clique_of(**v).some().is_some();
+        let stays = |v: &&VariableIndex| !staged.moved().contains(v);
+        let fixed: Vec<VariableIndex> =
+            staged.fixed().iter().filter(is_old).filter(stays).copied().collect();
+        let deltas = self.deltas(engine.instructions, &fixed);
+        let mut estimate = Vec::new();
+        for (&variable, delta) in fixed.iter().zip(&deltas) {
+            let range = self.graph.value_range(variable);
+            estimate.clear();
+            estimate.resize(range.len(), 0.0);
+            self.graph.retract(variable, &self.points[range.clone()], delta, &mut estimate)?;
+            undo.save_point(&self.graph, &self.points, variable);
+            self.points[range].copy_from_slice(&estimate);
+        }
+        Ok(())
     }
 
     /// Linearizes factors that are new or have other unknowns, and those on points that have moved.
@@ -245,7 +249,7 @@ impl Factorization {
         again.dedup();
         again.retain(|f| staged.dropped_factors().binary_search(f).is_err());
         if !staged.reshaped().is_empty() {
-            again.retain(|f| !staged.reshaped().contains(f));
+            again.retain(|f| staged.reshaped().binary_search(f).is_err());
         }
         for &factor in &*again {
             undo.save_block(&self.blocks, factor);

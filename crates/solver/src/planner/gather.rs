@@ -148,7 +148,7 @@ impl Planner {
         self.variables.extend(staged.new_variables().filter(|&v| !graph.is_fixed_at(v)));
         self.variables.extend_from_slice(staged.freed());
         self.factors.extend(staged.new_factors().filter(|&f| !graph.unknowns_at(f).is_empty()));
-        let enters = |f: FactorIndex| had_no_unknowns(graph, staged, f);
+        let enters = |f: FactorIndex| had_no_unknowns(graph, tree, f);
         self.factors.extend(staged.reshaped().iter().copied().filter(|&f| enters(f)));
     }
 
@@ -295,9 +295,8 @@ fn is_on(graph: &Graph, factor: FactorIndex, variables: &[VariableIndex]) -> boo
     graph.variables_at(factor).iter().any(|v| variables.contains(v))
 }
 
-/// Whether a factor whose unknowns changed had none before, and so belonged to no clique.
-fn had_no_unknowns(graph: &Graph, staged: &Staged, factor: FactorIndex) -> bool {
-    let is_new = |v: &VariableIndex| staged.freed().contains(v);
-    graph.unknowns_at(factor).iter().all(is_new)
-        && !graph.variables_at(factor).iter().any(|v| staged.fixed().contains(v))
+/// Whether a factor whose unknowns changed had none before, and so belonged to no clique: its
+/// variables are those of the tree as it was.
+fn had_no_unknowns(graph: &Graph, tree: &Tree, factor: FactorIndex) -> bool {
+    graph.variables_at(factor).iter().all(|&v| tree.clique_of(v).some().is_none())
 }
