@@ -78,7 +78,7 @@ impl StoredVariable for WheelScale {
     }
 }
 
-/// What the wheels count from one pose to the next.
+/// Counts of the wheels from one pose to the next.
 #[derive(Debug)]
 pub struct Odometer {
     /// Metres, as counted.
