@@ -51,7 +51,7 @@ fn own_types_go_through_everything() {
         assert!(distance(&old, &new) < 1e-9, "{id}: {old:?} became {new:?}");
     }
     assert_eq!(opened.graph().factors().count(), smoother.graph().factors().count());
-    let errors = [smoother.error(), opened.error()];
+    let errors = [smoother.error().unwrap(), opened.error().unwrap()];
     assert!((errors[0] - errors[1]).abs() <= 1e-9 * errors[0].max(1.0), "{errors:?}");
 }
 
