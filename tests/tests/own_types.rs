@@ -26,8 +26,8 @@ fn own_types_go_through_everything() {
         assert!(apart[0].abs() < 0.005, "{apart:?}");
     }
 
-    let kept: Vec<VariableId> = poses.iter().step_by(2).map(|pose| pose.id()).collect();
-    let kept: Vec<VariableId> = kept.into_iter().chain([new_tyres.id()]).collect();
+    let poses_kept = poses[..=40].iter().step_by(2).chain(&poses[41..]).map(|pose| pose.id());
+    let kept: Vec<VariableId> = poses_kept.chain([new_tyres.id()]).collect();
     let before: Vec<Value> = kept.iter().map(|id| smoother.estimate_value(*id).unwrap()).collect();
     thin_out(&mut smoother, &poses, old_tyres).unwrap();
     assert!(smoother.estimate(old_tyres).is_err());
@@ -51,7 +51,7 @@ fn own_types_go_through_everything() {
         assert!(distance(&old, &new) < 1e-9, "{id}: {old:?} became {new:?}");
     }
     assert_eq!(opened.graph().factors().count(), smoother.graph().factors().count());
-    let errors = [smoother.error(), opened.error()];
+    let errors = [smoother.error().unwrap(), opened.error().unwrap()];
     assert!((errors[0] - errors[1]).abs() <= 1e-9 * errors[0].max(1.0), "{errors:?}");
 }
 

@@ -4,7 +4,8 @@
 //! is the error in the units of the measurement and `R` the square root of its information
 //! ([`Noise`](evergraph_model::Noise)). Every factor here gives analytic Jacobians with respect to
 //! right perturbations, in the [conventions](evergraph_model#conventions) of the model, and keeps
-//! its measurement and noise readable so that it can be written to a file.
+//! its measurement and noise readable. The [`catalogue`] converts every factor into plain data with
+//! a stable name, and back, bit for bit.
 //!
 //! | factor | variables | error `e` | rows |
 //! |---|---|---|---|

@@ -8,10 +8,10 @@ use crate::kinds::Kinds;
 use crate::options::Dialect;
 use crate::record::{Line, Record};
 
-/// How many skipped lines are listed; all are counted.
+/// The number of skipped lines that are listed; all are counted.
 const LISTED: usize = 1000;
 
-/// What a document holds, counted.
+/// The contents of a document, counted.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Summary {
     /// Lines of the file, blank ones included.
@@ -47,7 +47,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// What a user should hear about, a sentence each.
+    /// Warnings for the user, a sentence each.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if self.skipped > 0 {
@@ -80,11 +80,11 @@ impl Summary {
 pub struct Skipped {
     /// The line, from 1.
     pub line: usize,
-    /// What is wrong with it.
+    /// The error.
     pub error: FormatError,
 }
 
-/// What reading gathers before the records are reconciled.
+/// The contents before the records are reconciled.
 #[derive(Default)]
 pub(crate) struct Contents {
     pub dialect: Option<Dialect>,

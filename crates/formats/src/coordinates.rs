@@ -18,7 +18,7 @@ pub enum Coordinates {
     Point3([f64; 3]),
 }
 
-/// What a variable is.
+/// The type of a variable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Kind {
     /// A pose in the plane.
@@ -32,12 +32,12 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Whether it is a pose; else it is a landmark.
+    /// True for poses, false for landmarks.
     pub fn is_pose(self) -> bool {
         matches!(self, Self::Pose2 | Self::Pose3)
     }
 
-    /// Whether it is in space; else it is in the plane.
+    /// True in space, false in the plane.
     pub fn is_in_space(self) -> bool {
         matches!(self, Self::Pose3 | Self::Point3)
     }
@@ -81,7 +81,7 @@ impl Kind {
 }
 
 impl Coordinates {
-    /// What they are the coordinates of.
+    /// The type of variable that they belong to.
     pub fn kind(&self) -> Kind {
         match self {
             Self::Pose2(_) => Kind::Pose2,

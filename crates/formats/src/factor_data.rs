@@ -18,7 +18,7 @@ use thiserror::Error;
 
 use crate::coordinates::Kind;
 
-/// Why a measurement makes no factor.
+/// The reason for which a measurement makes no factor.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum ReadingError {
@@ -39,7 +39,7 @@ pub enum ReadingError {
 /// A measurement of a line, with the noise and the sensor that the document says.
 #[derive(Clone, Copy, Debug)]
 pub struct Reading<'a> {
-    /// What is measured.
+    /// The measured quantity.
     pub quantity: Quantity,
     /// The numbers as in [`Measurement::numbers`](crate::Measurement::numbers).
     pub numbers: &'a [f64],
@@ -156,7 +156,7 @@ fn push_part(part: Part, line: &mut &[f64], data: &mut Vec<f64>) -> Result<(), R
     Ok(())
 }
 
-/// How many numbers of a line a part is; `None` for all that are left.
+/// The count of numbers of a line that a part is; `None` for all that are left.
 pub(crate) fn length_in_lines(part: Part) -> Option<usize> {
     if part == Part::Pose2 { Some(3) } else { part.len() }
 }

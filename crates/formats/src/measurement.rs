@@ -12,13 +12,13 @@ use crate::weight::Weight;
 /// A measurement of one variable or of two.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measurement {
-    /// What is measured.
+    /// The measured quantity.
     pub quantity: Quantity,
     /// Of what: the file's ids, and what kind of variable each names.
     pub ends: SmallVec<[(u64, Kind); 2]>,
     /// The measured numbers, as [`Quantity`] lists them.
     pub numbers: SmallVec<[f64; 4]>,
-    /// How much it is worth; rows as [`Quantity`] lists them.
+    /// Its matrix; rows as [`Quantity`] lists them.
     pub weight: Weight,
     /// `EDGE_SE3_PRIOR`, `EDGE_SE3_XYZ_PRIOR`: id of the sensor offset.
     pub parameter: Option<u64>,
@@ -40,7 +40,7 @@ pub struct LinearMeasurement {
 }
 
 impl Measurement {
-    /// What the variables are.
+    /// The types of the variables.
     pub fn kinds(&self) -> SmallVec<[Kind; 2]> {
         self.ends.iter().map(|(_, kind)| *kind).collect()
     }

@@ -59,7 +59,7 @@ impl<E: Residual<ROWS>, const ROWS: usize> AutoDiff<E, ROWS> {
         Ok(Self { keys: E::Variables::ids(keys), error, noise })
     }
 
-    /// How many variables it has.
+    /// The count of its variables.
     pub(crate) const VARIABLES: usize = E::Variables::COUNT;
 
     /// [`new`](Self::new) for variables whose types the graph checks; `None` when they are too many

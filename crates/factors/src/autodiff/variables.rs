@@ -43,7 +43,7 @@ pub trait Variables: 'static {
     /// Their keys, in the same order.
     type Keys;
 
-    /// How many there are.
+    /// The count of variables.
     const COUNT: usize;
 
     /// What a residual gets.

@@ -16,7 +16,7 @@ pub struct FactorData {
     pub name: String,
     /// The variables, in the order of the factor.
     pub ends: Vec<VariableId>,
-    /// What was measured, in the order in which the type stores it; see
+    /// The measured numbers, in the order in which the type stores them; see
     /// [`Description::parts`](super::Description::parts). SI units and radians.
     pub numbers: Vec<f64>,
     /// Values of types that the name does not say: the linearization points of a

@@ -1,4 +1,4 @@
-//! Why data and catalogue do not fit.
+//! Errors of conversions between factors and plain data.
 
 use std::error::Error as StdError;
 
@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use crate::error::FactorError;
 
-/// Why a catalogue cannot convert a factor or a value.
+/// The reason for which a catalogue cannot convert a factor or a value.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum CatalogueError {
@@ -46,7 +46,7 @@ pub enum CatalogueError {
     InvalidFactor {
         /// The factor's name.
         name: String,
-        /// What is wrong.
+        /// The reason.
         source: DataError,
     },
     /// Data that do not make a value of the type that they name.
@@ -54,37 +54,37 @@ pub enum CatalogueError {
     InvalidValue {
         /// The variable type's name.
         name: String,
-        /// What is wrong.
+        /// The reason.
         source: DataError,
     },
 }
 
-/// What is wrong with the data of a factor or a value.
+/// A fault in the data of a factor or a value.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum DataError {
     /// A number of ends that the factor does not have.
     #[error("it has {actual} ends, {expected} are needed")]
     Ends {
-        /// How many there should be.
+        /// The number that is needed.
         expected: usize,
-        /// How many there are.
+        /// The number given.
         actual: usize,
     },
     /// Too few or too many numbers.
     #[error("it has {actual} numbers, {expected} are needed")]
     Numbers {
-        /// How many there should be.
+        /// The number that is needed.
         expected: usize,
-        /// How many there are.
+        /// The number given.
         actual: usize,
     },
     /// Too few or too many values.
     #[error("it has {actual} values, {expected} are needed")]
     Values {
-        /// How many there should be.
+        /// The number that is needed.
         expected: usize,
-        /// How many there are.
+        /// The number given.
         actual: usize,
     },
     /// A NaN or an infinity.
@@ -102,17 +102,17 @@ pub enum DataError {
         kind: &'static str,
         /// The numbers.
         numbers: Vec<f64>,
-        /// What is wrong.
+        /// The reason.
         reason: String,
     },
     /// A number that stands for one of several choices, and for none of them.
     #[error("{number} is no {what}; {choices} are")]
     Choice {
-        /// What is chosen.
+        /// The choice.
         what: &'static str,
         /// The number.
         number: f64,
-        /// What there is to choose from.
+        /// All choices.
         choices: &'static str,
     },
     /// A factor without noise where the type has one.
@@ -126,7 +126,7 @@ pub enum DataError {
         "its noise has {actual} entries; a diagonal has at most 64, and an upper triangle of n rows n (n + 1) / 2"
     )]
     NoiseEntries {
-        /// How many there are.
+        /// The number given.
         actual: usize,
     },
     /// Numbers that are no noise.

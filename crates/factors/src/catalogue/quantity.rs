@@ -1,6 +1,6 @@
-//! What factors measure, and what their data consist of.
+//! Quantities that factors measure, and the parts of their data.
 
-/// What a factor measures: factors on different types of variables share a quantity.
+/// The quantity that a factor measures; factors on different types of variables share it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Quantity {
@@ -102,7 +102,7 @@ pub enum Part {
 }
 
 impl Part {
-    /// How many numbers it has; `None` for parts of any length.
+    /// The count of its numbers; `None` for parts of any length.
     pub fn len(self) -> Option<usize> {
         match self {
             Self::Number => Some(1),
@@ -121,7 +121,7 @@ impl Part {
 pub struct Description {
     /// The stable name, which is [`Factor::name`](evergraph_model::Factor::name) too.
     pub name: &'static str,
-    /// What is measured.
+    /// The measured quantity.
     pub quantity: Quantity,
     /// The names of its variables' types; empty for any types.
     pub ends: &'static [&'static str],

@@ -1,4 +1,4 @@
-//! What a factor type does to be stored: it writes its parts in an order, and reads them back.
+//! Storing a factor type: its parts are written in an order, and read back in the same order.
 
 use std::borrow::Cow;
 
@@ -12,8 +12,8 @@ use crate::sphere::unit;
 
 /// A factor type that can be stored as plain data.
 ///
-/// What [`store`](Self::store) writes, [`restore`](Self::restore) reads in the same order; the
-/// result must have the same residual and Jacobian, bit for bit. Implement it for types of your
+/// [`restore`](Self::restore) reads the parts in the order in which [`store`](Self::store) writes
+/// them. The result must have the same residual and Jacobian, bit for bit. Implement it for types of your
 /// own and register them with
 /// [`Catalogue::register_factor`](super::Catalogue::register_factor).
 pub trait StoredFactor: Factor + Sized {
@@ -159,7 +159,7 @@ impl<'a> FactorReader<'a> {
         Ok(numbers)
     }
 
-    /// How many numbers have not been read.
+    /// The count of numbers that have not been read.
     pub fn remaining(&self) -> usize {
         self.data.numbers.len() - self.numbers
     }
@@ -223,7 +223,7 @@ impl<'a> FactorReader<'a> {
     }
 }
 
-/// How far the square of a normalized vector's length is from one at most.
+/// Largest difference of a normalized vector's squared length from one.
 const ROUNDING: f64 = 1e-14;
 
 /// A direction at length one, as the constructors of factors normalize it; `None` for one without

@@ -37,7 +37,8 @@ use super::error::{CatalogueError, DataError};
 /// }
 /// ```
 pub trait StoredVariable: Manifold {
-    /// How many numbers [`store`](Manifold::store) writes; `None` when that depends on the value.
+    /// The count of numbers that [`store`](Manifold::store) writes; `None` when it depends on the
+    /// value.
     const LENGTH: Option<usize>;
 
     /// Checks that [`load`](Manifold::load) can take these numbers. They are finite, and
@@ -50,7 +51,7 @@ pub trait StoredVariable: Manifold {
     }
 }
 
-/// How far the square of the length of a stored rotation or direction may be from one. Products
+/// Largest accepted difference of a stored rotation's squared length from one. Products
 /// of rotations are within 1e-15.
 const UNIT: f64 = 1e-9;
 

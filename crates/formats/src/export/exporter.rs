@@ -1,4 +1,4 @@
-//! What the records of factors name.
+//! Ids that the records of factors refer to.
 
 use std::collections::HashMap;
 
@@ -9,12 +9,12 @@ use crate::coordinates::{Coordinates, Kind};
 use crate::estimate::coordinates;
 use crate::options::Dialect;
 
-/// What the records of factors name.
+/// Ids that the records of factors refer to.
 #[derive(Default)]
 pub(super) struct Exporter {
     /// Id and kind of each variable.
     pub ends: HashMap<VariableId, (u64, Kind)>,
-    /// Where sensors sit on the robot; their places here are their ids.
+    /// Positions of sensors on the robot; their places here are their ids.
     pub sensors: Vec<Pose3>,
 }
 

@@ -70,7 +70,7 @@ pub fn circles(files: &[(String, String)]) -> Vec<String> {
     folders.iter().flat_map(|(folder, edges)| report(folder, edges)).collect()
 }
 
-/// What the code of a file names.
+/// Paths that the code of a file names.
 fn used(module: &Module, modules: &BTreeMap<Path, Module>) -> Vec<Mention> {
     let mut used = module.mentions.clone();
     for import in &module.imports {

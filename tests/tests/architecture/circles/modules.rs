@@ -1,4 +1,4 @@
-//! The modules of a crate: what each file declares, imports and names.
+//! The modules of a crate: declarations, imports and names of each file.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -22,7 +22,7 @@ pub struct Import {
     /// Under which name; `*` for all.
     pub name: String,
     pub mention: Mention,
-    /// Whether `pub` stands before it, with or without a limit.
+    /// True if `pub` stands before it, with or without a limit.
     pub is_reexport: bool,
 }
 
@@ -38,7 +38,7 @@ pub struct Module {
     pub defines: BTreeSet<String>,
     /// Names outside of `use`.
     pub names: BTreeSet<String>,
-    /// Whether there is anything but `mod x;` and `use`.
+    /// True if there is anything but `mod x;` and `use`.
     pub has_code: bool,
 }
 
@@ -268,7 +268,7 @@ fn leaves(tree: &[Token], prefix: &[String]) -> Vec<(Path, String, usize)> {
     if path.is_empty() { Vec::new() } else { vec![(path, name, line)] }
 }
 
-/// What commas separate, outside of braces.
+/// Parts between commas, outside of braces.
 fn branches(tokens: &[Token]) -> Vec<&[Token]> {
     let mut found = Vec::new();
     let (mut start, mut at) = (0, 0);

@@ -1,4 +1,4 @@
-//! Rust source as tokens with their lines, without comments and without what only tests compile.
+//! Rust source as tokens with their lines, without comments and items of tests.
 
 use std::mem;
 
@@ -16,7 +16,7 @@ impl Token {
         self.text == text
     }
 
-    /// Whether it is a name or a keyword.
+    /// True for a name or a keyword.
     pub fn is_name(&self) -> bool {
         self.text.starts_with(|c: char| c.is_alphabetic() || c == '_')
     }
