@@ -71,6 +71,7 @@ mod error;
 mod groups;
 mod marginals;
 mod member;
+mod minimum;
 mod motion;
 mod neighborhood;
 mod options;
