@@ -34,6 +34,18 @@
 //!
 //! A plan goes stale, rather than wrong, when a variable or factor that it read changes ([`Plan`]).
 //!
+//! # Fixed variables
+//!
+//! Fixed variables of a neighborhood are given. They are not marginalized, no new factor is on them, and factors with
+//! them hold the blanket in the world. A node that is fixed itself is removed without approximation: its factors stay as
+//! factors on their other variables, with its value put in ([`Conditioned`](evergraph_factors::Conditioned)).
+//!
+//! # Types of your own
+//!
+//! Variables of any type are removed by generic linear constraints. A type that moves with a world announces it by
+//! [`Manifold::MOTION`](evergraph_model::Manifold::MOTION); its relative information then stays exactly relative, and root
+//! shifts apply to it.
+//!
 //! # When not to remove
 //!
 //! A linear factor is right where it was made. Far from the optimum, before the loop closures around
@@ -59,6 +71,7 @@ mod error;
 mod groups;
 mod marginals;
 mod member;
+mod minimum;
 mod motion;
 mod neighborhood;
 mod options;

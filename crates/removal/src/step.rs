@@ -9,12 +9,11 @@ use crate::condition::{Conditioning, condition};
 use crate::covariance::CovarianceRoot;
 use crate::error::{MakeError, RemovalError};
 use crate::member::Member;
-use crate::motion::{carried, rotation_part};
+use crate::minimum::Minimum;
 use crate::neighborhood::{Neighborhood, Read};
 use crate::options::{Offset, Options, Recovery, Topology};
 use crate::overlay::{Overlay, Source};
 use crate::potential::{Potential, Sum};
-use crate::rank_qr::triangle;
 use crate::recover::{self, Made, composition};
 use crate::target::Target;
 use crate::topology::Tree;
@@ -353,63 +352,5 @@ impl Replacement {
         }
         new.rhs = &rows * &minimum;
         Ok(Self { rows, ..new })
-    }
-}
-
-/// The minimum of a term, in coordinates relative to its first member where it is relative.
-struct Minimum {
-    /// First entry and rotation part of each member.
-    parts: Vec<(usize, usize, usize)>,
-    rows: DMatrix<f64>,
-    offset: DVector<f64>,
-}
-
-impl Minimum {
-    fn of(target: &Target, potential: &Potential, offset: &DVector<f64>) -> Self {
-        let value = |k: usize| &target.members[potential.members[k]].value;
-        let (mut rows, mut offset) = (potential.rows.clone(), offset.clone());
-        let root = offset.rows(0, value(0).dim()).into_owned();
-        let mut parts = Vec::with_capacity(potential.members.len());
-        let mut start = 0;
-        for k in 0..potential.members.len() {
-            let dim = value(k).dim();
-            if potential.relative
-                && let Some(motion) = carried(value(0), value(k))
-            {
-                let mut own = offset.rows_mut(start, dim);
-                own -= motion * &root;
-            }
-            parts.push((start, dim, rotation_part(value(k).kind())));
-            start += dim;
-        }
-        if potential.relative {
-            rows.columns_mut(0, root.len()).fill(0.0);
-        }
-        Self { parts, rows, offset }
-    }
-
-    /// The largest turn of a member.
-    fn rotation(&self) -> f64 {
-        let turn =
-            |&(start, dim, turn): &(_, usize, _)| self.offset.rows(start + dim - turn, turn).norm();
-        self.parts.iter().map(turn).fold(0.0, f64::max)
-    }
-
-    /// Where the minimum would be beside a prior of 1 m and 1 rad at the estimate, the `d'` of least
-    /// `‖G d' - G d‖² + ‖d'‖²`: what is hardly known stays there.
-    fn known(mut self) -> Self {
-        let (rows, n) = self.rows.shape();
-        let mut stack = DMatrix::zeros(rows + n, n + 1);
-        stack.view_mut((0, 0), (rows, n)).copy_from(&self.rows);
-        stack.view_mut((0, n), (rows, 1)).copy_from(&(&self.rows * &self.offset));
-        stack.view_mut((rows, 0), (n, n)).fill_with_identity();
-        let u = triangle(stack);
-        let solution = u.view((0, 0), (n, n)).solve_upper_triangular(&u.view((0, n), (n, 1)));
-        match solution.filter(|known| known.iter().all(|x| x.is_finite())) {
-            Some(known) => self.offset = known.column(0).into_owned(),
-            // Numbers that left the range of `f64` are not to be trusted.
-            None => self.offset.fill(f64::INFINITY),
-        }
-        self
     }
 }

@@ -7,7 +7,7 @@ mod common;
 use common::*;
 use evergraph_model::{GraphError, Value, Values, VariableId};
 use evergraph_removal::{Estimates, LinearizedEstimate, Options, Order, Removal, RemovalError};
-use evergraph_solver::Smoother;
+use evergraph_solver::{Smoother, SmootherError};
 use nalgebra::DMatrix;
 
 /// A smoother, its estimates kept or copied, and a closure: all say the same.
@@ -15,7 +15,7 @@ use nalgebra::DMatrix;
 fn estimates_come_from_anything_that_has_them() {
     let (mut smoother, keys) = chain(6);
     let node = keys[2].id();
-    let values = smoother.estimates();
+    let values = smoother.estimates().unwrap();
     let expected = Removal::new(smoother.graph(), &values).plan(node).unwrap();
     let closure = |id: VariableId| values.value(id).map(|value| value.to_value());
     let by_closure = Removal::new(smoother.graph(), &closure).plan(node).unwrap();
@@ -23,7 +23,7 @@ fn estimates_come_from_anything_that_has_them() {
     let direct = Removal::new(smoother.graph(), &smoother).plan(node).unwrap();
     assert_eq!(direct.steps(), expected.steps());
     assert_eq!(direct.drift(&smoother).unwrap(), expected.drift(&values).unwrap());
-    let kept = smoother.kept_estimates(0.0);
+    let kept = smoother.cached_estimates(0.0).unwrap();
     let by_kept = Removal::new(kept.graph(), &kept).plan(node).unwrap();
     assert_eq!(by_kept.steps(), expected.steps());
     let (_, foreign) = chain(2);
@@ -47,13 +47,14 @@ impl Estimates for TooFew {
 #[test]
 fn estimates_that_are_too_few_are_refused() {
     let (smoother, keys) = chain(4);
-    let few = TooFew(smoother.estimates());
+    let few = TooFew(smoother.estimates().unwrap());
     let error = Removal::new(smoother.graph(), &few).plan(keys[1]).unwrap_err();
     assert!(matches!(error, RemovalError::EstimateCount { expected: 3, actual: 2 }), "{error}");
     let foreign = [keys[1].id(), chain(2).1[0].id()];
-    assert!(matches!(smoother.estimate_values(&foreign), Err(GraphError::Foreign { .. })));
+    let foreign_error = smoother.estimate_values(&foreign).unwrap_err();
+    assert!(matches!(foreign_error, SmootherError::Graph(GraphError::Foreign { .. })));
     assert!(Estimates::estimates_of(&smoother, &foreign).is_err());
-    assert!(smoother.estimate_values(&[]).unwrap().is_empty());
+    assert!(smoother.estimate_values(&foreign[..0]).unwrap().is_empty());
 }
 
 /// Linearization points and steps of one's own.

@@ -19,7 +19,8 @@ use nalgebra::{DMatrix, DVector};
 #[test]
 fn a_plan_goes_stale_with_anything_that_it_read() {
     let (smoother, keys) = chain(5);
-    let plan = Removal::new(smoother.graph(), &smoother.estimates()).plan(keys[2]).unwrap();
+    let plan =
+        Removal::new(smoother.graph(), &smoother.estimates().unwrap()).plan(keys[2]).unwrap();
     let edge = |smoother: &Smoother, a: usize, b: usize| {
         let mut change = smoother.change();
         let z = Pose2::new((b - a) as f64, 0.0, 0.0);
@@ -52,19 +53,19 @@ fn a_plan_goes_stale_with_anything_that_it_read() {
     stale(&mut other);
     // Another plan that shares the blanket.
     let mut other = smoother.clone();
-    let first = Removal::new(other.graph(), &other.estimates()).plan(keys[1]).unwrap();
+    let first = Removal::new(other.graph(), &other.estimates().unwrap()).plan(keys[1]).unwrap();
     other.apply(first.into_change()).unwrap();
     stale(&mut other);
     // Nothing has changed.
     let mut other = smoother;
-    assert!(plan.drift(&other.estimates()).unwrap() < 1e-12);
+    assert!(plan.drift(&other.estimates().unwrap()).unwrap() < 1e-12);
     other.apply(plan.into_change()).unwrap();
 }
 
 #[test]
 fn what_cannot_be_removed_is_said() {
     let (smoother, keys) = chain(3);
-    let (graph, estimates) = (smoother.graph(), smoother.estimates());
+    let (graph, estimates) = (smoother.graph(), smoother.estimates().unwrap());
     let plan = |nodes: &[VariableId]| {
         Removal::new(graph, &estimates).plan_many(nodes, Order::Given).unwrap_err()
     };
@@ -79,17 +80,19 @@ fn what_cannot_be_removed_is_said() {
         .unwrap_err();
     assert!(matches!(error, RemovalError::NoBlanket { .. }), "{error}");
     let (lonely, lone) = chain(1);
-    let error = Removal::new(lonely.graph(), &lonely.estimates()).plan(lone[0]).unwrap_err();
+    let error =
+        Removal::new(lonely.graph(), &lonely.estimates().unwrap()).plan(lone[0]).unwrap_err();
     assert!(matches!(error, RemovalError::NoBlanket { .. }), "{error}");
     // Ids of another graph, and removed ones.
     assert!(matches!(plan(&[lone[0].id()]), RemovalError::Graph(GraphError::Foreign { .. })));
     let mut smaller = smoother.clone();
-    let gone = Removal::new(smaller.graph(), &smaller.estimates()).plan(ids[1]).unwrap();
+    let gone = Removal::new(smaller.graph(), &smaller.estimates().unwrap()).plan(ids[1]).unwrap();
     smaller.apply(gone.into_change()).unwrap();
-    let error = Removal::new(smaller.graph(), &smaller.estimates()).plan(ids[1]).unwrap_err();
+    let error =
+        Removal::new(smaller.graph(), &smaller.estimates().unwrap()).plan(ids[1]).unwrap_err();
     assert!(matches!(error, RemovalError::Graph(GraphError::UnknownVariable { .. })), "{error}");
     // Estimates of an older graph.
-    let error = Removal::new(graph, &smaller.estimates()).plan(ids[1]).unwrap_err();
+    let error = Removal::new(graph, &smaller.estimates().unwrap()).plan(ids[1]).unwrap_err();
     assert!(matches!(error, RemovalError::Graph(GraphError::UnknownVariable { .. })), "{error}");
 }
 
@@ -130,7 +133,7 @@ fn the_last_pose_stays_whatever_the_order() {
     smoother.apply(change).unwrap();
     for order in [Order::Given, Order::Random(1), Order::MinDegree, Order::MinLoss] {
         let mut joint = |ids: &[VariableId]| smoother.joint(ids);
-        let estimates = smoother.estimates();
+        let estimates = smoother.estimates().unwrap();
         let mut removal = Removal::new(smoother.graph(), &estimates).priced_by(&mut joint);
         let error = removal.plan_many(&poses, order).unwrap_err();
         assert!(matches!(error, RemovalError::LastPose { .. }), "{order:?}: {error}");
@@ -143,7 +146,7 @@ fn numbers_that_are_not_finite_are_named() {
     let (smoother, keys) = chain(4);
     let graph: &Graph = smoother.graph();
     let with = |bad: VariableId, value: Value| {
-        let estimates = smoother.estimates();
+        let estimates = smoother.estimates().unwrap();
         let lookup = move |id: VariableId| {
             Ok(if id == bad { value.clone() } else { estimates.value(id)?.to_value() })
         };
@@ -356,7 +359,7 @@ fn whole_weights_are_whole_to_rounding() {
 #[test]
 fn options_without_meaning_and_missing_parts_are_refused() {
     let (smoother, keys) = chain(4);
-    let estimates = smoother.estimates();
+    let estimates = smoother.estimates().unwrap();
     let with = |options: Options| {
         Removal::new(smoother.graph(), &estimates).with_options(options).plan(keys[1]).unwrap_err()
     };
@@ -418,7 +421,9 @@ fn a_blanket_that_would_take_too_long_is_refused() {
     let (smoother, keys) = chain(5);
     let plan = |largest_blanket| {
         let options = Options::default().with_largest_blanket(largest_blanket);
-        Removal::new(smoother.graph(), &smoother.estimates()).with_options(options).plan(keys[2])
+        Removal::new(smoother.graph(), &smoother.estimates().unwrap())
+            .with_options(options)
+            .plan(keys[2])
     };
     let error = plan(5).unwrap_err();
     assert!(

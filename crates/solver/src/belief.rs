@@ -13,46 +13,41 @@ use crate::smoother::Smoother;
 /// [`Smoother::estimates`] or [`Smoother::kept_estimates`] cost less, but have no linearization points.
 impl belief::Estimates for Smoother {
     fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
-        self.estimate_value(variable).map_err(|error| of_graph(error, variable))
+        self.estimate_value(variable).map_err(|error| of_graph(error, &[variable]))
     }
 
     fn estimates_of(&self, variables: &[VariableId]) -> Result<Vec<Value>, GraphError> {
-        self.estimate_values(variables).map_err(|error| match error {
-            SmootherError::Graph(error) => error,
-            _ => GraphError::UnknownVariable { variable: variables[0] },
-        })
+        self.estimate_values(variables).map_err(|error| of_graph(error, variables))
     }
 
     fn linearized(
         &self,
         variables: &[VariableId],
     ) -> Result<Option<Vec<LinearizedEstimate>>, GraphError> {
-        let deltas = self.deltas(variables).map_err(|error| match error {
-            SmootherError::Graph(error) => error,
-            _ => GraphError::UnknownVariable { variable: variables[0] },
-        })?;
+        let deltas = self.deltas(variables).map_err(|error| of_graph(error, variables))?;
         let found = variables.iter().zip(deltas).map(|(&variable, delta)| {
             let point = self.linearization_point(variable);
-            let point = point.map_err(|error| of_graph(error, variable))?;
+            let point = point.map_err(|error| of_graph(error, &[variable]))?;
             Ok(LinearizedEstimate { point, delta })
         });
         found.collect::<Result<_, _>>().map(Some)
     }
 }
 
-/// Estimates of one variable fail by its id only.
-fn of_graph(error: SmootherError, variable: VariableId) -> GraphError {
-    match error {
-        SmootherError::Graph(error) => error,
-        _ => GraphError::UnknownVariable { variable },
+/// Estimates fail by ids and by users' code only, which are both errors of the graph. For any other error the first
+/// variable counts as without an estimate.
+fn of_graph(error: SmootherError, variables: &[VariableId]) -> GraphError {
+    match (error, variables.first()) {
+        (SmootherError::Graph(error), _) => error,
+        (_, Some(&variable)) => GraphError::UnknownVariable { variable },
+        (error, None) => GraphError::Foreign { what: error.to_string() },
     }
 }
 
 impl belief::Estimates for Estimates<'_> {
     fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
-        self.value(variable)
-            .map(|value| value.to_value())
-            .map_err(|error| of_graph(error, variable))
+        let value = self.value(variable).map_err(|error| of_graph(error, &[variable]))?;
+        Ok(value.to_value())
     }
 }
 

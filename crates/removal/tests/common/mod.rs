@@ -31,7 +31,8 @@ impl Scene {
         graph.commit(staged);
         scene.data.resize(graph.value_len(), 0.0);
         for (id, value) in change.new_variables() {
-            scene.data[graph.value_range(id.index())].copy_from_slice(value.storage());
+            scene.data[graph.value_range(graph.variable_index(*id).unwrap())]
+                .copy_from_slice(value.storage());
         }
         scene.graph = graph;
         scene
@@ -56,7 +57,10 @@ impl Scene {
         order: &[VariableId],
     ) -> (DMatrix<f64>, DVector<f64>) {
         let values = self.values();
-        let dims: Vec<usize> = order.iter().map(|id| self.graph.dim_at(id.index())).collect();
+        let dims: Vec<usize> = order
+            .iter()
+            .map(|&id| self.graph.dim_at(self.graph.variable_index(id).unwrap()))
+            .collect();
         let start = |k: usize| dims[..k].iter().sum::<usize>();
         let width = start(order.len());
         let (mut rows, mut residual) = (Vec::<DMatrix<f64>>::new(), Vec::new());
@@ -121,7 +125,8 @@ impl Scene {
         let mut data = vec![0.0; graph.value_len()];
         for id in self.graph.variables() {
             let value = self.values().value(id).unwrap().to_value();
-            data[graph.value_range(id.index())].copy_from_slice(value.storage());
+            data[graph.value_range(graph.variable_index(id).unwrap())]
+                .copy_from_slice(value.storage());
         }
         Self { graph, data }
     }
@@ -220,7 +225,8 @@ pub fn answer(scene: &Scene, removed: &[VariableId], blanket: &[VariableId]) -> 
     let order: Vec<VariableId> = removed.iter().chain(blanket).copied().collect();
     let stack = scene.stack(scene.z_m(removed, blanket), &order);
     let full = normal(&stack);
-    let node_dim = removed.iter().map(|id| scene.graph.dim_at(id.index())).sum();
+    let node_dim =
+        removed.iter().map(|&id| scene.graph.dim_at(scene.graph.variable_index(id).unwrap())).sum();
     let (lambda, eta) = eliminated(&stack, node_dim);
     // A column that is zero in the tangent of a variable is only zero to rounding after a shift.
     let floor = 1e-3 * full.0.diagonal().max().sqrt();
@@ -278,7 +284,8 @@ pub fn rank(stack: &DMatrix<f64>) -> usize {
 pub fn scene(graph: &Graph, values: &Values) -> Scene {
     let mut data = vec![0.0; graph.value_len()];
     for id in graph.variables() {
-        data[graph.value_range(id.index())].copy_from_slice(values.value(id).unwrap().storage());
+        data[graph.value_range(graph.variable_index(id).unwrap())]
+            .copy_from_slice(values.value(id).unwrap().storage());
     }
     Scene { graph: graph.clone(), data }
 }
@@ -302,7 +309,8 @@ pub fn marginal(scene: &Scene, kept: &[VariableId]) -> (DMatrix<f64>, DVector<f6
     let order: Vec<VariableId> = kept.iter().chain(others).copied().collect();
     let (lambda, eta) = system(scene, &order);
     let sigma = lambda.cholesky().unwrap().inverse();
-    let dim: usize = kept.iter().map(|id| scene.graph.dim_at(id.index())).sum();
+    let dim: usize =
+        kept.iter().map(|&id| scene.graph.dim_at(scene.graph.variable_index(id).unwrap())).sum();
     let mean = &sigma * eta;
     (sigma.view((0, 0), (dim, dim)).into_owned(), mean.rows(0, dim).into_owned())
 }
