@@ -19,7 +19,7 @@ pub mod world;
 
 pub use oracle::check_against_batch;
 pub use replay::{References, read, replay};
-pub use stack::stack;
+pub use stack::{dim_of, stack};
 
 use std::env;
 use std::io::{self, Write};

@@ -144,7 +144,7 @@ impl World {
                 change.add_variable(&Point2::new(0.0, 0.0));
             }
             Operation::Optimize => {
-                let before = self.smoother.error();
+                let before = self.smoother.error().unwrap();
                 let report = self.smoother.optimize(&BatchSettings::default()).unwrap();
                 assert!(report.error <= before * (1.0 + 1e-12));
                 return;

@@ -59,7 +59,7 @@ fn removals() {
         for (options, share) in [(Options::default(), 3), (Options::dense(), 7)] {
             let nodes: Vec<VariableId> =
                 smoother.graph().variables().skip(1).step_by(share).collect();
-            let estimates = smoother.estimates();
+            let estimates = smoother.estimates().unwrap();
             let plan = Removal::new(smoother.graph(), &estimates)
                 .with_options(options)
                 .plan_many(&nodes, Order::MinDegree)

@@ -42,7 +42,7 @@ fn shift(full: &Smoother, reduced: &Smoother) -> (f64, f64) {
 }
 
 fn remove(smoother: &mut Smoother, nodes: &[VariableId], options: Options) {
-    let plan = Removal::new(smoother.graph(), &smoother.estimates())
+    let plan = Removal::new(smoother.graph(), &smoother.estimates().unwrap())
         .with_options(options)
         .plan_many(nodes, Order::Given)
         .unwrap();

@@ -45,10 +45,10 @@ impl Scene {
             next += 1;
         }
         world.smoother.optimize(&BatchSettings::default()).unwrap();
-        let (graph, estimates) = (world.smoother.graph(), world.smoother.estimates());
+        let (graph, estimates) = (world.smoother.graph(), world.smoother.estimates().unwrap());
         let mut points = vec![0.0; graph.value_len()];
         for (id, value) in estimates.iter() {
-            points[graph.value_range(id.index())].copy_from_slice(value.storage());
+            points[graph.value_range(graph.variable_index(id).unwrap())].copy_from_slice(value.storage());
         }
         Self { graph: graph.clone(), points }
     }
@@ -60,7 +60,8 @@ impl Scene {
     fn remover<T>(&self, options: Options, ask: impl FnOnce(&mut Removal<'_>) -> T) -> T {
         let estimate = |id: VariableId| {
             self.graph.check_variable(id)?;
-            Ok(self.graph.value(id.index(), &self.points[self.graph.value_range(id.index())]))
+            let index = self.graph.variable_index(id)?;
+            Ok(self.graph.value(index, &self.points[self.graph.value_range(index)]))
         };
         ask(&mut Removal::new(&self.graph, &estimate).with_options(options))
     }
@@ -108,8 +109,8 @@ impl Scene {
         let mut first = vec![usize::MAX; self.graph.variable_slots()];
         let mut dim = 0;
         for id in order {
-            first[id.index()] = dim;
-            dim += self.graph.dim_at(id.index());
+            first[self.graph.variable_index(id).unwrap().index()] = dim;
+            dim += dim_of(&self.graph, id);
         }
         let mut normal = Normal::zeros(dim);
         for f in self.graph.factor_indices() {
@@ -136,7 +137,7 @@ impl Scene {
     }
 
     fn dim(&self, ids: &[VariableId]) -> usize {
-        ids.iter().map(|id| self.graph.dim_at(id.index())).sum()
+        ids.iter().map(|id| dim_of(&self.graph, *id)).sum()
     }
 }
 

@@ -35,7 +35,7 @@ fn a_map_keeps_its_optimum_while_poses_go() {
         }
     }
     assert!(removed > 3000, "{removed}");
-    let live = replayer.smoother().error() + constant;
+    let live = replayer.smoother().error().unwrap() + constant;
     let report = replayer.smoother_mut().optimize(&BatchSettings::default()).unwrap();
     assert_eq!(report.status, Status::Converged);
     let optimum = report.error + constant;

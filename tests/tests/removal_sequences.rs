@@ -113,7 +113,7 @@ fn check_estimate(smoother: &Smoother, at: &str) {
     let tolerance = (rounding.max(1e-9) * solution.norm()).max(rounding * length).max(1e-290);
     let mut start = 0;
     for id in order {
-        let dim = graph.dim_at(id.index());
+        let dim = dim_of(graph, *id);
         let delta: Vec<f64> = (start..start + dim).map(|i| solution[i] / scale[i]).collect();
         let point: Value = smoother.linearization_point(id).unwrap();
         let expected = point.retract(&delta).unwrap();

@@ -8,6 +8,8 @@ use evergraph::removal::{
 };
 use evergraph::{Settings, Smoother, SmootherError};
 
+use crate::dim_of;
+
 use super::seen::{At, Seen, one_by_one};
 use super::{Variable, World};
 
@@ -148,7 +150,7 @@ impl World {
             let is_beyond = members().any(|&id| seen.is_beyond(id));
             self.removals.beyond += usize::from(is_beyond);
             self.removals.linear += usize::from(!is_beyond && members().any(|&id| seen.is_off(id)));
-            let dim: usize = step.blanket.iter().map(|id| graph.dim_at(id.index())).sum();
+            let dim: usize = step.blanket.iter().map(|id| dim_of(graph, *id)).sum();
             self.removals.deficient += usize::from(step.rank < dim);
             self.removals.fallbacks += usize::from(step.fallback.is_some());
         }
@@ -225,7 +227,7 @@ impl World {
     /// What cannot be planned says why. (A plan reads only: there is nothing that it could alter.)
     pub(super) fn fail_removal(&mut self, which: usize, how: u8) {
         let node = self.node(which);
-        let estimates = self.smoother.estimates();
+        let estimates = self.smoother.estimates().expect("our types do not panic");
         let nan = |id: VariableId| -> Result<Value, GraphError> {
             let value = estimates.value(id)?.to_value();
             let step = vec![f64::NAN; value.dim()];

@@ -7,7 +7,7 @@ use evergraph::model::{Graph, GraphError, Value, VariableId};
 use evergraph::removal::{Estimates, LinearizedEstimate, Options, Removal, Step, Topology};
 use nalgebra::{DMatrix, DVector};
 
-use crate::stack;
+use crate::{dim_of, stack};
 
 /// Where a removal sees each variable, and the step from there to its estimate.
 pub(super) struct Seen {
@@ -117,7 +117,7 @@ impl At<'_> {
     pub(super) fn check(self, gone: &[VariableId], reduced: At<'_>, exact: bool, what: &str) {
         let kept: Vec<VariableId> = self.0.variables().filter(|id| !gone.contains(id)).collect();
         let order: Vec<VariableId> = gone.iter().chain(&kept).copied().collect();
-        let width: usize = gone.iter().map(|id| self.0.dim_at(id.index())).sum();
+        let width: usize = gone.iter().map(|id| dim_of(self.0, *id)).sum();
         let (jacobian, mut left) = self.stack(&order);
         let mut rest = jacobian.columns(width, jacobian.ncols() - width).into_owned();
         let scale: Vec<f64> = rest.column_iter().map(|column| column.norm()).collect();
