@@ -85,9 +85,10 @@ fn information(graph: &Graph, values: &Values, order: &[VariableId]) -> DMatrix<
     let mut starts = vec![0; graph.variable_slots()];
     let mut n = 0;
     for &id in order {
-        points[graph.value_range(id.index())].copy_from_slice(values.value(id).unwrap().storage());
-        starts[id.index()] = n;
-        n += graph.dim_at(id.index());
+        points[graph.value_range(graph.variable_index(id).unwrap())]
+            .copy_from_slice(values.value(id).unwrap().storage());
+        starts[graph.variable_index(id).unwrap().index()] = n;
+        n += graph.dim_at(graph.variable_index(id).unwrap());
     }
     let mut sum = DMatrix::zeros(n, n);
     for f in graph.factor_indices() {
@@ -183,7 +184,8 @@ fn what_is_moved_is_measured() {
             let pose = value.get::<Pose2>().unwrap();
             value = Value::new(&Pose2::new(pose.x() + 3.0, pose.y() - 4.0, pose.theta()));
         }
-        points[full.graph().value_range(id.index())].copy_from_slice(value.storage());
+        points[full.graph().value_range(full.graph().variable_index(id).unwrap())]
+            .copy_from_slice(value.storage());
     }
     let is = Values::from_arena(full.graph(), &points);
     let kept: Vec<_> = ids.iter().map(|id| (*id, *id)).collect();
@@ -247,9 +249,10 @@ fn values_that_are_no_numbers_are_refused() {
     let was = full.estimates();
     let mut points = vec![0.0; full.graph().value_len()];
     for (id, value) in was.iter() {
-        points[full.graph().value_range(id.index())].copy_from_slice(value.storage());
+        points[full.graph().value_range(full.graph().variable_index(id).unwrap())]
+            .copy_from_slice(value.storage());
     }
-    points[full.graph().value_range(ids[2].index())][0] = f64::NAN;
+    points[full.graph().value_range(full.graph().variable_index(ids[2]).unwrap())][0] = f64::NAN;
     let bad = Values::from_arena(full.graph(), &points);
     let kept: Vec<_> = ids.iter().map(|id| (*id, *id)).collect();
     let solved = |estimates| Solved { graph: full.graph(), estimates };
