@@ -59,7 +59,7 @@ fn settle(smoother: &mut Smoother) {
 /// Takes nodes out and optimizes again.
 fn without(full: &Smoother, nodes: &[VariableId], options: Options) -> Smoother {
     let mut reduced = full.clone();
-    let plan = Removal::new(full.graph(), &full.estimates())
+    let plan = Removal::new(full.graph(), &full.estimates().unwrap())
         .with_options(options)
         .plan_many(nodes, Order::Given)
         .unwrap();
@@ -69,7 +69,7 @@ fn without(full: &Smoother, nodes: &[VariableId], options: Options) -> Smoother 
 }
 
 fn compare(full: &Smoother, reduced: &Smoother) -> Result<Divergence, DivergenceError> {
-    let (was, is) = (full.estimates(), reduced.estimates());
+    let (was, is) = (full.estimates().unwrap(), reduced.estimates().unwrap());
     let kept: Vec<_> = reduced.graph().variables().map(|id| (id, id)).collect();
     Divergence::of(
         Solved { graph: full.graph(), estimates: &was },
@@ -94,7 +94,7 @@ fn information(graph: &Graph, values: &Values, order: &[VariableId]) -> DMatrix<
     for f in graph.factor_indices() {
         let rows = graph.rows_at(f);
         let mut block = vec![0.0; graph.linearization_len(f)];
-        graph.linearize(f, &points, &mut block);
+        graph.linearize(f, &points, &mut block).unwrap();
         let mut wide = DMatrix::zeros(rows, n);
         let scalars = graph.variables_at(f).iter().flat_map(|&v| {
             let v = v as usize;
@@ -118,7 +118,7 @@ fn dense(full: &Smoother, reduced: &Smoother) -> (f64, f64) {
     let gone = full.graph().variables().filter(|id| !kept.contains(id));
     let order: Vec<VariableId> = kept.iter().copied().chain(gone).collect();
     let n = reduced.graph().dim();
-    let (was, is) = (full.estimates(), reduced.estimates());
+    let (was, is) = (full.estimates().unwrap(), reduced.estimates().unwrap());
     let all = information(full.graph(), &was, &order).try_inverse().unwrap();
     let p = all.view((0, 0), (n, n)).into_owned();
     let l = information(reduced.graph(), &was, &kept);
@@ -177,7 +177,7 @@ fn a_graph_has_lost_nothing_of_itself() {
 #[test]
 fn what_is_moved_is_measured() {
     let (full, ids) = world(6, &[], &[0.2, -0.1]);
-    let (was, mut points) = (full.estimates(), vec![0.0; full.graph().value_len()]);
+    let (was, mut points) = (full.estimates().unwrap(), vec![0.0; full.graph().value_len()]);
     for (id, value) in was.iter() {
         let mut value = value.to_value();
         if id == ids[3] {
@@ -201,7 +201,7 @@ fn what_is_moved_is_measured() {
 fn pairs_have_to_fit() {
     let (full, ids) = world(6, &[(0, 4)], &[0.2, -0.1]);
     let reduced = without(&full, &ids[2..3], Options::default());
-    let (was, is) = (full.estimates(), reduced.estimates());
+    let (was, is) = (full.estimates().unwrap(), reduced.estimates().unwrap());
     let refused = |kept: &[(VariableId, VariableId)]| {
         Divergence::of(
             Solved { graph: full.graph(), estimates: &was },
@@ -233,7 +233,8 @@ fn a_free_direction_is_told() {
     change.drop_factor(cut);
     let staged = graph.stage(&change).unwrap();
     graph.commit(staged);
-    let (was, kept) = (full.estimates(), ids.iter().map(|id| (*id, *id)).collect::<Vec<_>>());
+    let (was, kept) =
+        (full.estimates().unwrap(), ids.iter().map(|id| (*id, *id)).collect::<Vec<_>>());
     let whole = Solved { graph: full.graph(), estimates: &was };
     let broken = Solved { graph: &graph, estimates: &was };
     let free = |error: &SmootherError| error.to_string().contains(&ids[5].to_string());
@@ -246,7 +247,7 @@ fn a_free_direction_is_told() {
 #[test]
 fn values_that_are_no_numbers_are_refused() {
     let (full, ids) = world(6, &[], &[0.2, -0.1]);
-    let was = full.estimates();
+    let was = full.estimates().unwrap();
     let mut points = vec![0.0; full.graph().value_len()];
     for (id, value) in was.iter() {
         points[full.graph().value_range(full.graph().variable_index(id).unwrap())]
@@ -270,7 +271,7 @@ fn nonzeros_are_counted_by_blocks() {
     let expected = 6 * 6 + 3 + (5 + 1) * 9 + 4 * 6;
     assert_eq!(information_nonzeros(full.graph()), expected);
     let order: Vec<_> = full.graph().variables().collect();
-    let dense = information(full.graph(), &full.estimates(), &order);
+    let dense = information(full.graph(), &full.estimates().unwrap(), &order);
     let upper = (0..dense.nrows()).flat_map(|i| (i..dense.ncols()).map(move |j| (i, j)));
     assert!(upper.filter(|at| dense[*at] != 0.0).count() <= expected);
 }
