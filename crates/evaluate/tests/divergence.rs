@@ -97,8 +97,8 @@ fn information(graph: &Graph, values: &Values, order: &[VariableId]) -> DMatrix<
         graph.linearize(f, &points, &mut block).unwrap();
         let mut wide = DMatrix::zeros(rows, n);
         let scalars = graph.variables_at(f).iter().flat_map(|&v| {
-            let v = v as usize;
-            starts[v]..starts[v] + graph.dim_at(v)
+            let slot = v.index();
+            starts[slot]..starts[slot] + graph.dim_at(v)
         });
         for (scalar, column) in scalars.zip(block.chunks_exact(rows)) {
             wide.set_column(scalar, &DVector::from_column_slice(column));

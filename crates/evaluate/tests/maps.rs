@@ -8,7 +8,7 @@ use evergraph_evaluate::{
     AbsoluteError, Alignment, Association, EvaluateError, LandmarkError, Map, PosePairs, Similarity,
 };
 use evergraph_formats::{Dialect, Document, ReadOptions, TrajectoryFormat};
-use evergraph_model::{Point2, Point3, Pose3, Value};
+use evergraph_model::{LieGroup, Point2, Point3, Pose3, Value};
 use evergraph_simulate::{Grid, Landmarks};
 
 fn ate(estimate: &Map, truth: &Map) -> AbsoluteError {

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use evergraph_factors::{BetweenPose2, Prior};
-use evergraph_model::{Noise, Point2, Pose2};
+use evergraph_model::{LieGroup, Noise, Point2, Pose2};
 use evergraph_replay::{Audit, AuditSample};
 use evergraph_solver::{BatchSettings, Relinearization, Settings, Smoother, Status};
 
