@@ -43,7 +43,7 @@ fn row(file: &str) -> Result<String, Failure> {
     let mut reduced = replayer(&document)?;
     let (removed, constant) = map(&mut reduced, &poses, &gone)?;
     eprintln!("{}: {:.1} s", short(file), begun.elapsed().as_secs_f64());
-    let live = reduced.smoother().error() + constant;
+    let live = reduced.smoother().error()? + constant;
     let optimized = optimize_to_the_end(reduced.smoother_mut())?.error + constant;
 
     let divergence = divergence(&full, &reduced)?;
@@ -51,7 +51,7 @@ fn row(file: &str) -> Result<String, Failure> {
         "| {} | {} | {removed} | {live:.4} | {optimized:.4} | {:.4} | {:.4} | {:.4} | {:.4} | {:.4} |",
         short(file),
         poses.len(),
-        full.smoother().error(),
+        full.smoother().error()?,
         divergence.covariance,
         divergence.mean,
         divergence.rms_shift_m,

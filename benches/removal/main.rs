@@ -86,7 +86,7 @@ fn gauge(replayer: &Replayer) -> Vec<FactorId> {
 
 /// What a reduced graph has lost of the full one; variables are the same where their ids in the file are.
 fn divergence(full: &Replayer, reduced: &Replayer) -> Result<Divergence, DivergenceError> {
-    let (was, is) = (full.smoother().estimates(), reduced.smoother().estimates());
+    let (was, is) = (full.smoother().estimates()?, reduced.smoother().estimates()?);
     let everyone: HashMap<u64, VariableId> = full.replay().ids().collect();
     let pairs: Vec<(VariableId, VariableId)> = reduced
         .replay()

@@ -174,12 +174,16 @@ fn try_one(
             }
             outcome.fallbacks = thinning.removed.iter().filter(|it| it.fallback.is_some()).count();
             // A direction that came free would make this singular, and a lost gradient would move it.
-            let before = smoother.error();
+            let before = smoother.error().unwrap_or(f64::NAN);
             let constants: f64 = thinning.removed.iter().map(|it| it.constant).sum();
-            outcome.off = (full.error() - before - constants).abs() / (1.0 + full.error());
+            let error = full.error().unwrap_or(f64::NAN);
+            outcome.off = (error - before - constants).abs() / (1.0 + error);
             match optimize_to_the_end(&mut smoother) {
                 Err(error) => outcome.failure = failed(error.to_string()),
-                Ok(_) => outcome.fell = (before - smoother.error()).max(0.0) / (1.0 + before),
+                Ok(_) => {
+                    outcome.fell =
+                        (before - smoother.error().unwrap_or(f64::NAN)).max(0.0) / (1.0 + before)
+                }
             }
         }
         Err(error) => outcome.failure = failed(error.to_string()),

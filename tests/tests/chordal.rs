@@ -40,7 +40,7 @@ fn optimization_from_it_reaches_the_optimum() {
         let mut replayer = Replayer::new(&start, &options, settings).unwrap();
         replayer.everything().unwrap();
         let batch = replayer.smoother_mut().optimize(&BatchSettings::default()).unwrap();
-        let error = replayer.error();
+        let error = replayer.error().unwrap();
         println!("{name}: {} to {error} in {} iterations", batch.initial_error, batch.iterations);
         assert_eq!(batch.status, Status::Converged, "{name}");
         assert!(batch.iterations <= most_iterations, "{name}: {} iterations", batch.iterations);

@@ -14,7 +14,7 @@ fn check(test: &str, file: &str, gtsam: f64) {
     let settings = Settings { relinearization: Relinearization::NEVER, ..Settings::default() };
     let mut replayer = Replayer::new(&read(&path), &options, settings).unwrap();
     replayer.everything().unwrap();
-    let error = replayer.objective_at_linearization().error;
+    let error = replayer.objective_at_linearization().unwrap().error;
     assert!((error - gtsam).abs() <= 1e-9 * gtsam, "{file}: {error}, GTSAM {gtsam}");
 }
 

@@ -33,7 +33,7 @@ fn from_truth(document: &Document) -> f64 {
     let mut replayer = Replayer::new(document, &options, Settings::default()).unwrap();
     replayer.everything().unwrap();
     replayer.smoother_mut().optimize(&BatchSettings::default()).unwrap();
-    replayer.error()
+    replayer.error().unwrap()
 }
 
 fn drive(test: &str, file: &str) -> Option<(Document, Replayer)> {
@@ -41,19 +41,19 @@ fn drive(test: &str, file: &str) -> Option<(Document, Replayer)> {
     let document = read(&path);
     let start = Instant::now();
     let mut replayer = replay(&document, Settings::default(), |_, _| ());
-    let (took, error) = (start.elapsed(), replayer.error());
+    let (took, error) = (start.elapsed(), replayer.error().unwrap());
     let report = replayer.smoother_mut().optimize(&BatchSettings::default()).unwrap();
     println!(
         "{file}: {} steps in {took:.1?}, error {error:.2}, optimized {:.2} ({:?}), held back {}, \
          landmarks off by {:.2?} m, {} gauge priors",
         replayer.replay().len(),
-        replayer.error(),
+        replayer.error().unwrap(),
         report.status,
         replayer.replay().held_back(),
         landmark_errors(&document, &replayer),
         replayer.replay().gauge_priors().len(),
     );
-    let (error, from_truth) = (replayer.error(), from_truth(&document));
+    let (error, from_truth) = (replayer.error().unwrap(), from_truth(&document));
     assert!(error <= from_truth * (1.0 + 1e-3), "{file}: {error}, from the truth {from_truth}");
     Some((document, replayer))
 }

@@ -33,7 +33,7 @@ fn every_file_ends_at_its_optimum(test: &str, elimination: Elimination) {
         let mut replayer = replay(&document, settings, |_, _| ());
         let batch = replayer.smoother_mut().optimize(&BatchSettings::default()).unwrap();
         assert_eq!(batch.status, Status::Converged, "{file}");
-        let (error, reference) = (replayer.error(), references.error(&file));
+        let (error, reference) = (replayer.error().unwrap(), references.error(&file));
         println!("{file}: error {error:.9}, reference {reference:.9}");
         assert!(
             error <= reference * (1.0 + 1e-6),

@@ -59,7 +59,7 @@ fn settle(smoother: &mut Smoother) {
 /// Takes nodes out and optimizes again.
 fn without(full: &Smoother, nodes: &[VariableId], options: Options) -> Smoother {
     let mut reduced = full.clone();
-    let plan = Removal::new(full.graph(), &full.estimates())
+    let plan = Removal::new(full.graph(), &full.estimates().unwrap())
         .with_options(options)
         .plan_many(nodes, Order::Given)
         .unwrap();
@@ -69,7 +69,7 @@ fn without(full: &Smoother, nodes: &[VariableId], options: Options) -> Smoother 
 }
 
 fn compare(full: &Smoother, reduced: &Smoother) -> Result<Divergence, DivergenceError> {
-    let (was, is) = (full.estimates(), reduced.estimates());
+    let (was, is) = (full.estimates().unwrap(), reduced.estimates().unwrap());
     let kept: Vec<_> = reduced.graph().variables().map(|id| (id, id)).collect();
     Divergence::of(
         Solved { graph: full.graph(), estimates: &was },
@@ -85,19 +85,20 @@ fn information(graph: &Graph, values: &Values, order: &[VariableId]) -> DMatrix<
     let mut starts = vec![0; graph.variable_slots()];
     let mut n = 0;
     for &id in order {
-        points[graph.value_range(id.index())].copy_from_slice(values.value(id).unwrap().storage());
-        starts[id.index()] = n;
-        n += graph.dim_at(id.index());
+        points[graph.value_range(graph.variable_index(id).unwrap())]
+            .copy_from_slice(values.value(id).unwrap().storage());
+        starts[graph.variable_index(id).unwrap().index()] = n;
+        n += graph.dim_at(graph.variable_index(id).unwrap());
     }
     let mut sum = DMatrix::zeros(n, n);
     for f in graph.factor_indices() {
         let rows = graph.rows_at(f);
         let mut block = vec![0.0; graph.linearization_len(f)];
-        graph.linearize(f, &points, &mut block);
+        graph.linearize(f, &points, &mut block).unwrap();
         let mut wide = DMatrix::zeros(rows, n);
         let scalars = graph.variables_at(f).iter().flat_map(|&v| {
-            let v = v as usize;
-            starts[v]..starts[v] + graph.dim_at(v)
+            let slot = v.index();
+            starts[slot]..starts[slot] + graph.dim_at(v)
         });
         for (scalar, column) in scalars.zip(block.chunks_exact(rows)) {
             wide.set_column(scalar, &DVector::from_column_slice(column));
@@ -117,7 +118,7 @@ fn dense(full: &Smoother, reduced: &Smoother) -> (f64, f64) {
     let gone = full.graph().variables().filter(|id| !kept.contains(id));
     let order: Vec<VariableId> = kept.iter().copied().chain(gone).collect();
     let n = reduced.graph().dim();
-    let (was, is) = (full.estimates(), reduced.estimates());
+    let (was, is) = (full.estimates().unwrap(), reduced.estimates().unwrap());
     let all = information(full.graph(), &was, &order).try_inverse().unwrap();
     let p = all.view((0, 0), (n, n)).into_owned();
     let l = information(reduced.graph(), &was, &kept);
@@ -176,14 +177,15 @@ fn a_graph_has_lost_nothing_of_itself() {
 #[test]
 fn what_is_moved_is_measured() {
     let (full, ids) = world(6, &[], &[0.2, -0.1]);
-    let (was, mut points) = (full.estimates(), vec![0.0; full.graph().value_len()]);
+    let (was, mut points) = (full.estimates().unwrap(), vec![0.0; full.graph().value_len()]);
     for (id, value) in was.iter() {
         let mut value = value.to_value();
         if id == ids[3] {
             let pose = value.get::<Pose2>().unwrap();
             value = Value::new(&Pose2::new(pose.x() + 3.0, pose.y() - 4.0, pose.theta()));
         }
-        points[full.graph().value_range(id.index())].copy_from_slice(value.storage());
+        points[full.graph().value_range(full.graph().variable_index(id).unwrap())]
+            .copy_from_slice(value.storage());
     }
     let is = Values::from_arena(full.graph(), &points);
     let kept: Vec<_> = ids.iter().map(|id| (*id, *id)).collect();
@@ -199,7 +201,7 @@ fn what_is_moved_is_measured() {
 fn pairs_have_to_fit() {
     let (full, ids) = world(6, &[(0, 4)], &[0.2, -0.1]);
     let reduced = without(&full, &ids[2..3], Options::default());
-    let (was, is) = (full.estimates(), reduced.estimates());
+    let (was, is) = (full.estimates().unwrap(), reduced.estimates().unwrap());
     let refused = |kept: &[(VariableId, VariableId)]| {
         Divergence::of(
             Solved { graph: full.graph(), estimates: &was },
@@ -231,7 +233,8 @@ fn a_free_direction_is_told() {
     change.drop_factor(cut);
     let staged = graph.stage(&change).unwrap();
     graph.commit(staged);
-    let (was, kept) = (full.estimates(), ids.iter().map(|id| (*id, *id)).collect::<Vec<_>>());
+    let (was, kept) =
+        (full.estimates().unwrap(), ids.iter().map(|id| (*id, *id)).collect::<Vec<_>>());
     let whole = Solved { graph: full.graph(), estimates: &was };
     let broken = Solved { graph: &graph, estimates: &was };
     let free = |error: &SmootherError| error.to_string().contains(&ids[5].to_string());
@@ -244,12 +247,13 @@ fn a_free_direction_is_told() {
 #[test]
 fn values_that_are_no_numbers_are_refused() {
     let (full, ids) = world(6, &[], &[0.2, -0.1]);
-    let was = full.estimates();
+    let was = full.estimates().unwrap();
     let mut points = vec![0.0; full.graph().value_len()];
     for (id, value) in was.iter() {
-        points[full.graph().value_range(id.index())].copy_from_slice(value.storage());
+        points[full.graph().value_range(full.graph().variable_index(id).unwrap())]
+            .copy_from_slice(value.storage());
     }
-    points[full.graph().value_range(ids[2].index())][0] = f64::NAN;
+    points[full.graph().value_range(full.graph().variable_index(ids[2]).unwrap())][0] = f64::NAN;
     let bad = Values::from_arena(full.graph(), &points);
     let kept: Vec<_> = ids.iter().map(|id| (*id, *id)).collect();
     let solved = |estimates| Solved { graph: full.graph(), estimates };
@@ -267,7 +271,7 @@ fn nonzeros_are_counted_by_blocks() {
     let expected = 6 * 6 + 3 + (5 + 1) * 9 + 4 * 6;
     assert_eq!(information_nonzeros(full.graph()), expected);
     let order: Vec<_> = full.graph().variables().collect();
-    let dense = information(full.graph(), &full.estimates(), &order);
+    let dense = information(full.graph(), &full.estimates().unwrap(), &order);
     let upper = (0..dense.nrows()).flat_map(|i| (i..dense.ncols()).map(move |j| (i, j)));
     assert!(upper.filter(|at| dense[*at] != 0.0).count() <= expected);
 }

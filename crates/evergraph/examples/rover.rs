@@ -12,7 +12,6 @@ use std::sync::Arc;
 use evergraph::factors::{Bearing2, Geodetic, GpsPosition2, LocalFrame};
 use evergraph::formats::Dialect;
 use evergraph::initialize::{Body, End, Geometry, Sighting, place_landmark};
-use evergraph::model::Kernel;
 use evergraph::prelude::*;
 
 type Failure = Box<dyn std::error::Error>;

@@ -117,10 +117,12 @@ pub mod prelude {
     };
     #[cfg(feature = "formats")]
     pub use evergraph_formats::{Document, ReadOptions};
+    pub use evergraph_longterm::{Rules, Thinning};
     pub use evergraph_model::{
-        Change, Factor, Graph, Key, LieGroup, Manifold, Noise, Point2, Point3, Pose2, Pose3,
-        Robust, Rot2, Rot3, Value, Values, VariableId, VectorN,
+        Change, Factor, FactorId, Graph, Kernel, Key, LieGroup, Manifold, Noise, Point2, Point3,
+        Pose2, Pose3, Robust, Rot2, Rot3, Value, Values, VariableId, VectorN,
     };
+    pub use evergraph_removal::{Order, Removal};
     #[cfg(feature = "replay")]
     pub use evergraph_replay::{ReplayOptions, Replayed, Replayer};
     pub use evergraph_solver::{

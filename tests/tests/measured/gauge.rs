@@ -76,8 +76,8 @@ fn what_is_free_beside_depth_and_attitude_gets_the_prior() {
         let priors = replayer.replay().gauge_priors();
         assert_eq!((priors.len(), priors[0].id, priors[0].directions), (1, 0, directions));
         assert_eq!(replayer.replay().len(), 10);
-        assert!(replayer.gauge_error() < 1e-9, "{}", replayer.gauge_error());
-        assert!(replayer.error() < 1e-9, "{}", replayer.error());
+        assert!(replayer.gauge_error().unwrap() < 1e-9, "{}", replayer.gauge_error().unwrap());
+        assert!(replayer.error().unwrap() < 1e-9, "{}", replayer.error().unwrap());
         if with_heading {
             world.check(&replayer);
         }

@@ -236,7 +236,7 @@ impl World {
 
     /// Everything that is not held back came in and is where it truly is.
     pub fn check(&self, replayer: &Replayer) {
-        assert!(replayer.error() < 1e-9, "error {}", replayer.error());
+        assert!(replayer.error().unwrap() < 1e-9, "error {}", replayer.error().unwrap());
         let replay = replayer.replay();
         assert_eq!(replay.ids().count(), self.truth.len() - replay.held_back());
         for (id, variable) in replay.ids() {
