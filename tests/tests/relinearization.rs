@@ -151,9 +151,9 @@ fn the_smallest_pivot_ratio_is_that_of_the_factor_whatever_was_split() {
         poses.push(pose);
         smoother.apply(change).unwrap();
         let system = smoother.linear_system();
-        let mut squares = vec![0.0; system.columns];
-        system.jacobian.iter().for_each(|(_, column, x)| squares[*column] += x * x);
-        let pivots = system.factor.iter().filter(|(row, column, _)| row == column);
+        let mut squares = vec![0.0; system.columns()];
+        system.jacobian().iter().for_each(|(_, column, x)| squares[*column] += x * x);
+        let pivots = system.factor().iter().filter(|(row, column, _)| row == column);
         let ratio = pivots.map(|(_, j, x)| x * x / squares[*j]).fold(f64::INFINITY, f64::min);
         let told = smoother.smallest_pivot_ratio();
         assert!((told / ratio - 1.0).abs() < 1e-9, "step {k}: {told}, by the factor {ratio}");
