@@ -164,6 +164,7 @@ impl Pending {
         (graph.is_factor_at(index) && graph.factor_id(index) == id).then_some(index)
     }
 
+    #[inline]
     fn swap_point(&mut self, graph: &Graph, variable: VariableIndex, points: &mut [f64]) {
         let place = self.place_of_variable.get(variable.index()).copied().unwrap_or(NO_POINT);
         if place != NO_POINT {
@@ -310,6 +311,7 @@ impl Pending {
 }
 
 /// Whether a slot still holds the variable with an id.
+#[inline]
 fn is_variable(graph: &Graph, index: VariableIndex, id: VariableId) -> bool {
     graph.is_variable_at(index) && graph.variable_id(index) == id
 }

@@ -388,19 +388,25 @@ impl State {
     ) -> Moved {
         let Self { far, seen, delta, .. } = self;
         seen.resize(graph.variable_slots(), false);
-        let largest_of = |v: VariableIndex| {
-            delta[graph.tangent_range(v)].iter().fold(0.0, |largest: f64, d| largest.max(d.abs()))
+        let beyond = |v: VariableIndex, limit: f64| {
+            delta[graph.tangent_range(v)].iter().any(|d| d.abs() > limit)
         };
-        let mut largest: f64 = 0.0;
         far.retain(|&v| {
-            let own = if graph.is_variable_at(v) { largest_of(v) } else { 0.0 };
-            largest = largest.max(own);
-            own > smallest && !std::mem::replace(&mut seen[v.index()], true)
+            graph.is_variable_at(v)
+                && beyond(v, smallest)
+                && !std::mem::replace(&mut seen[v.index()], true)
         });
-        far.iter().for_each(|&v| seen[v.index()] = false);
-        let largest = if far.is_empty() { 0.0 } else { largest };
+        let mut largest = 0.0;
+        for &v in far.iter() {
+            seen[v.index()] = false;
+            for d in &delta[graph.tangent_range(v)] {
+                if d.abs() > largest {
+                    largest = d.abs();
+                }
+            }
+        }
         let variables = match largest > threshold {
-            true => far.iter().copied().filter(|&v| largest_of(v) > reach).collect(),
+            true => far.iter().copied().filter(|&v| beyond(v, reach)).collect(),
             false => Vec::new(),
         };
         Moved { variables, largest }

@@ -279,11 +279,13 @@ impl Graph {
     // These panic on slots that hold nothing: a slot comes from this graph's own lists.
 
     /// Length of the variable slot array, living or not.
+    #[inline]
     pub fn variable_slots(&self) -> usize {
         self.variables.capacity()
     }
 
     /// Length of the factor slot array, living or not.
+    #[inline]
     pub fn factor_slots(&self) -> usize {
         self.factors.capacity()
     }
@@ -304,11 +306,13 @@ impl Graph {
     }
 
     /// Whether the variable slot holds a living variable.
+    #[inline]
     pub fn is_variable_at(&self, index: VariableIndex) -> bool {
         self.variables.at(index.index()).is_some()
     }
 
     /// Whether the factor slot holds a living factor.
+    #[inline]
     pub fn is_factor_at(&self, index: FactorIndex) -> bool {
         self.factors.at(index.index()).is_some()
     }
@@ -317,6 +321,7 @@ impl Graph {
     ///
     /// # Panics
     /// When the slot holds no living variable.
+    #[inline]
     pub fn variable_id(&self, index: VariableIndex) -> VariableId {
         self.variables.id_at(index.index()).expect("the slot holds a living variable")
     }
@@ -325,6 +330,7 @@ impl Graph {
     ///
     /// # Panics
     /// When the slot holds no living factor.
+    #[inline]
     pub fn factor_id(&self, index: FactorIndex) -> FactorId {
         self.factors.id_at(index.index()).expect("the slot holds a living factor")
     }
@@ -333,16 +339,19 @@ impl Graph {
     ///
     /// # Panics
     /// When the slot holds no living variable, as all of the following.
+    #[inline]
     pub fn kind_at(&self, index: VariableIndex) -> &'static VariableType {
         self.variable(index).kind
     }
 
     /// The tangent dimension of the variable in a slot.
+    #[inline]
     pub fn dim_at(&self, index: VariableIndex) -> usize {
         self.variable(index).tangent.1 as usize
     }
 
     /// Whether the variable in a slot is fixed.
+    #[inline]
     pub fn is_fixed_at(&self, index: VariableIndex) -> bool {
         self.variable(index).fixed
     }
@@ -358,36 +367,43 @@ impl Graph {
     }
 
     /// The factors on the variable in a slot, in the order they were added.
+    #[inline]
     pub fn factors_at(&self, index: VariableIndex) -> &[FactorIndex] {
         &self.variable(index).factors
     }
 
     /// The factor in a slot.
+    #[inline]
     pub fn factor_at(&self, index: FactorIndex) -> &dyn Factor {
         &*self.term(index).factor
     }
 
     /// The variables of the factor in a slot, in the order of its keys.
+    #[inline]
     pub fn variables_at(&self, factor: FactorIndex) -> &[VariableIndex] {
         &self.term(factor).variables
     }
 
     /// The variables of the factor in a slot that are not fixed, in the order of its keys.
+    #[inline]
     pub fn unknowns_at(&self, factor: FactorIndex) -> &[VariableIndex] {
         self.term(factor).unknowns()
     }
 
     /// First column of each unknown's Jacobian block of the factor in a slot, then of its residual.
+    #[inline]
     pub fn columns_at(&self, factor: FactorIndex) -> &[u32] {
         self.term(factor).columns()
     }
 
     /// Rows of the factor in a slot.
+    #[inline]
     pub fn rows_at(&self, factor: FactorIndex) -> usize {
         self.term(factor).rows as usize
     }
 
     /// Length of `[J₁ … Jₖ | r]` of the factor in a slot, a block for each of its unknowns.
+    #[inline]
     pub fn linearization_len(&self, factor: FactorIndex) -> usize {
         let term = self.term(factor);
         let columns = term.columns();
@@ -395,22 +411,26 @@ impl Graph {
     }
 
     /// Length of an array that holds a value for every variable slot.
+    #[inline]
     pub fn value_len(&self) -> usize {
         self.value_layout.len as usize
     }
 
     /// Length of an array that holds a tangent vector for every variable slot.
+    #[inline]
     pub fn tangent_len(&self) -> usize {
         self.tangent_layout.len as usize
     }
 
     /// Where the value of the variable in a slot stands.
+    #[inline]
     pub fn value_range(&self, index: VariableIndex) -> Range<usize> {
         let (start, len) = self.variable(index).value;
         start as usize..(start + len) as usize
     }
 
     /// Where the tangent vector of the variable in a slot stands.
+    #[inline]
     pub fn tangent_range(&self, index: VariableIndex) -> Range<usize> {
         let (start, len) = self.variable(index).tangent;
         start as usize..(start + len) as usize
