@@ -12,7 +12,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::process::ExitCode;
 
-use evergraph::evaluate::{Divergence, DivergenceError, Solved};
+use evergraph::evaluate::{Divergence, Solved};
 use evergraph::formats::{Document, ReadOptions};
 use evergraph::model::{FactorId, VariableId};
 use evergraph::replay::ReplayOptions;
@@ -85,7 +85,7 @@ fn gauge(replayer: &Replayer) -> Vec<FactorId> {
 }
 
 /// What a reduced graph has lost of the full one; variables are the same where their ids in the file are.
-fn divergence(full: &Replayer, reduced: &Replayer) -> Result<Divergence, DivergenceError> {
+fn divergence(full: &Replayer, reduced: &Replayer) -> Result<Divergence, Failure> {
     let (was, is) = (full.smoother().estimates()?, reduced.smoother().estimates()?);
     let everyone: HashMap<u64, VariableId> = full.replay().ids().collect();
     let pairs: Vec<(VariableId, VariableId)> = reduced
@@ -94,10 +94,10 @@ fn divergence(full: &Replayer, reduced: &Replayer) -> Result<Divergence, Diverge
         .filter(|(_, id)| reduced.graph().check_variable(*id).is_ok())
         .map(|(id, here)| (everyone[&id], here))
         .collect();
-    Divergence::of(
+    Ok(Divergence::of(
         Solved { graph: full.graph(), estimates: &was },
         Solved { graph: reduced.graph(), estimates: &is },
         &pairs,
         &settings(),
-    )
+    )?)
 }

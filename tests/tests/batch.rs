@@ -31,7 +31,10 @@ fn every_method_finds_the_optimum() {
                 let settings = BatchSettings { method, ..BatchSettings::default() };
                 let report = replayer.smoother_mut().optimize(&settings).unwrap();
                 assert!(report.error <= report.initial_error, "{file}, {method:?}: {report:?}");
-                assert!((replayer.smoother().error().unwrap() - report.error).abs() <= 1e-12 * report.error);
+                assert!(
+                    (replayer.smoother().error().unwrap() - report.error).abs()
+                        <= 1e-12 * report.error
+                );
                 match report.status {
                     Status::Converged => {
                         let off = replayer.error().unwrap() / references.error(file) - 1.0;

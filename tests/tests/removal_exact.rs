@@ -8,6 +8,7 @@ use evergraph::factors::RootShift;
 use evergraph::model::{Graph, VariableId};
 use evergraph::removal::{Options, Order, Plan, Recovery, Removal, RemovalError, Step, Topology};
 use evergraph::solver::{BatchSettings, Elimination};
+use evergraph_tests::dim_of;
 use evergraph_tests::double::{Double, Normal};
 use evergraph_tests::world::{MAKERS, Operation, World};
 use nalgebra::DMatrix;
@@ -48,7 +49,8 @@ impl Scene {
         let (graph, estimates) = (world.smoother.graph(), world.smoother.estimates().unwrap());
         let mut points = vec![0.0; graph.value_len()];
         for (id, value) in estimates.iter() {
-            points[graph.value_range(graph.variable_index(id).unwrap())].copy_from_slice(value.storage());
+            points[graph.value_range(graph.variable_index(id).unwrap())]
+                .copy_from_slice(value.storage());
         }
         Self { graph: graph.clone(), points }
     }
@@ -59,7 +61,6 @@ impl Scene {
 
     fn remover<T>(&self, options: Options, ask: impl FnOnce(&mut Removal<'_>) -> T) -> T {
         let estimate = |id: VariableId| {
-            self.graph.check_variable(id)?;
             let index = self.graph.variable_index(id)?;
             Ok(self.graph.value(index, &self.points[self.graph.value_range(index)]))
         };
@@ -109,23 +110,23 @@ impl Scene {
         let mut first = vec![usize::MAX; self.graph.variable_slots()];
         let mut dim = 0;
         for id in order {
-            first[self.graph.variable_index(id).unwrap().index()] = dim;
-            dim += dim_of(&self.graph, id);
+            first[self.graph.variable_index(*id).unwrap().index()] = dim;
+            dim += dim_of(&self.graph, *id);
         }
         let mut normal = Normal::zeros(dim);
         for f in self.graph.factor_indices() {
             let variables = self.graph.variables_at(f);
-            if variables.iter().any(|&v| first[v as usize] == usize::MAX) {
+            if variables.iter().any(|&v| first[v.index()] == usize::MAX) {
                 continue;
             }
             let mut block = vec![0.0; self.graph.linearization_len(f)];
-            self.graph.linearize(f, &self.points, &mut block);
+            self.graph.linearize(f, &self.points, &mut block).unwrap();
             let (rows, columns) = (self.graph.rows_at(f), self.graph.columns_at(f));
             for i in 0..rows {
                 let mut row = Vec::new();
                 for (k, &v) in variables.iter().enumerate() {
                     for column in columns[k]..columns[k + 1] {
-                        let place = first[v as usize] + (column - columns[k]) as usize;
+                        let place = first[v.index()] + (column - columns[k]) as usize;
                         row.push((place, block[column as usize * rows + i]));
                     }
                 }

@@ -11,7 +11,7 @@ use std::env;
 use evergraph::model::Value;
 use evergraph::prelude::*;
 use evergraph_tests::world::{Operation, Removals, World};
-use evergraph_tests::{check_against_batch, stack};
+use evergraph_tests::{check_against_batch, dim_of, stack};
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::*;
 use proptest::test_runner::{FileFailurePersistence, RngSeed, TestRunner};
@@ -113,7 +113,7 @@ fn check_estimate(smoother: &Smoother, at: &str) {
     let tolerance = (rounding.max(1e-9) * solution.norm()).max(rounding * length).max(1e-290);
     let mut start = 0;
     for id in order {
-        let dim = dim_of(graph, *id);
+        let dim = dim_of(graph, id);
         let delta: Vec<f64> = (start..start + dim).map(|i| solution[i] / scale[i]).collect();
         let point: Value = smoother.linearization_point(id).unwrap();
         let expected = point.retract(&delta).unwrap();

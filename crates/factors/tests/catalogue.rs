@@ -157,7 +157,7 @@ fn the_table_describes_the_factors() {
         for (position, value) in at.iter().enumerate() {
             assert!(factor.accepts(position, value.kind(), value.dim()), "{}", of.name);
         }
-        let lengths: Option<usize> = of.parts.iter().map(|part| part.len()).sum();
+        let lengths: Option<usize> = of.parts.iter().map(|part| part.count()).sum();
         assert!(lengths.is_none_or(|length| length == data.numbers.len()), "{}", of.name);
         assert_eq!(Description::named(of.name), Some(of));
         if !of.ends.is_empty() {

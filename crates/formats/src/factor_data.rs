@@ -69,7 +69,7 @@ impl Reading<'_> {
             }
             // A position is that of an antenna in the origin of the robot or of the sensor.
             (Quantity::Position, _) => {
-                let size = of.parts.first().and_then(|part| part.len()).unwrap_or(0);
+                let size = of.parts.first().and_then(|part| part.count()).unwrap_or(0);
                 let arm = sensor.map_or(Point3::identity(), Pose3::translation);
                 data.numbers.extend(numbers.get(..size).ok_or(ReadingError::Numbers)?);
                 data.numbers.extend(arm.vector().iter().take(size));
@@ -158,7 +158,7 @@ fn push_part(part: Part, line: &mut &[f64], data: &mut Vec<f64>) -> Result<(), R
 
 /// The count of numbers of a line that a part is; `None` for all that are left.
 pub(crate) fn length_in_lines(part: Part) -> Option<usize> {
-    if part == Part::Pose2 { Some(3) } else { part.len() }
+    if part == Part::Pose2 { Some(3) } else { part.count() }
 }
 
 fn push_value(value: &impl Manifold, numbers: &mut Vec<f64>) {

@@ -184,7 +184,10 @@ impl World {
                 }
             }
             Operation::Optimize => {
-                let before = (self.smoother.fingerprint(), self.smoother.error().expect("our factors do not panic"));
+                let before = (
+                    self.smoother.fingerprint(),
+                    self.smoother.error().expect("our factors do not panic"),
+                );
                 match self.smoother.optimize(&BatchSettings::default()) {
                     Ok(report) => assert!(
                         report.error <= before.1 * (1.0 + 1e-12),

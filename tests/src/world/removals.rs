@@ -150,7 +150,7 @@ impl World {
             let is_beyond = members().any(|&id| seen.is_beyond(id));
             self.removals.beyond += usize::from(is_beyond);
             self.removals.linear += usize::from(!is_beyond && members().any(|&id| seen.is_off(id)));
-            let dim: usize = step.blanket.iter().map(|id| dim_of(graph, *id)).sum();
+            let dim: usize = step.blanket.iter().map(|id| dim_of(&graph, *id)).sum();
             self.removals.deficient += usize::from(step.rank < dim);
             self.removals.fallbacks += usize::from(step.fallback.is_some());
         }

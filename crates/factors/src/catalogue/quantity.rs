@@ -103,7 +103,7 @@ pub enum Part {
 
 impl Part {
     /// The count of its numbers; `None` for parts of any length.
-    pub fn len(self) -> Option<usize> {
+    pub fn count(self) -> Option<usize> {
         match self {
             Self::Number => Some(1),
             Self::Rot2 | Self::Point2 => Some(2),

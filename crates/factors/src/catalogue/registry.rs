@@ -49,9 +49,13 @@ pub struct Catalogue {
 #[derive(Clone, Copy)]
 struct Entry {
     kind: TypeId,
-    store: fn(&VariableTypes, &str, &dyn Factor) -> Option<Result<FactorData, DataError>>,
-    restore: fn(&VariableTypes, &FactorData) -> Result<Arc<dyn Factor>, DataError>,
+    store: Store,
+    restore: Restore,
 }
+
+/// Stores a factor under a name; `None` for one of another type.
+type Store = fn(&VariableTypes, &str, &dyn Factor) -> Option<Result<FactorData, DataError>>;
+type Restore = fn(&VariableTypes, &FactorData) -> Result<Arc<dyn Factor>, DataError>;
 
 impl fmt::Debug for Catalogue {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -60,7 +60,7 @@ impl Exporter {
         let (mut quantity, mut noise) = (quantity, noise);
         let mut numbers = data.numbers.clone();
         if let [pose, Part::Combinations3 | Part::Combinations6] = parts {
-            noise = few_combinations(&mut numbers, pose.len()?, ends[0].1.dim(), noise)?;
+            noise = few_combinations(&mut numbers, pose.count()?, ends[0].1.dim(), noise)?;
         }
         let mut numbers = in_lines(parts, &numbers)?;
         // A position is that of an antenna in the origin of the robot.
@@ -135,7 +135,7 @@ fn next_coordinates(part: Part, rest: &mut &[f64]) -> Option<Coordinates> {
 
 /// The numbers of the next part.
 fn next<'a>(part: Part, rest: &mut &'a [f64]) -> Option<&'a [f64]> {
-    let (numbers, behind) = rest.split_at_checked(part.len().unwrap_or(rest.len()))?;
+    let (numbers, behind) = rest.split_at_checked(part.count().unwrap_or(rest.len()))?;
     *rest = behind;
     Some(numbers)
 }
