@@ -22,9 +22,7 @@ fn noise(sigma: f64) -> Noise {
 }
 
 fn smoother(relinearization: Relinearization) -> Smoother {
-    let mut settings = Settings::default();
-    settings.relinearization = relinearization;
-    Smoother::new(settings).unwrap()
+    Smoother::new(Settings::default().with_relinearization(relinearization)).unwrap()
 }
 
 /// Policies under which points move often.

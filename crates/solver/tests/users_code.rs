@@ -128,9 +128,7 @@ fn every(n: u32) -> NonZeroU32 {
 }
 
 fn smoother(relinearization: Relinearization) -> Smoother {
-    let mut settings = Settings::default();
-    settings.relinearization = relinearization;
-    Smoother::new(settings).unwrap()
+    Smoother::new(Settings::default().with_relinearization(relinearization)).unwrap()
 }
 
 /// Checks after every change, spread over so many.
@@ -230,8 +228,7 @@ fn a_panic_in_a_batch_step_restores_everything() {
             let (mut smoother, _, _, fuse) = world(Relinearization::NEVER);
             let before = smoother.fingerprint();
             fuse.store(calls, Ordering::Relaxed);
-            let mut settings = BatchSettings::default();
-            settings.method = method;
+            let settings = BatchSettings::default().with_method(method);
             let error = smoother.optimize(&settings).unwrap_err();
             assert!(is_panic(&error), "{error}");
             assert_eq!(smoother.fingerprint(), before, "{method:?}, {calls} calls");
