@@ -162,7 +162,7 @@ fn graphs_survive_a_detour_through_another_dialect() {
                 }
                 Err(error) => panic!("{error}"),
             };
-            let options = evergraph_formats::ReadOptions { ..common::options(&path) };
+            let options = common::options(&path);
             let away = match Document::parse("detour", text.as_slice(), &options) {
                 Ok(away) => away,
                 Err(error) => panic!("{}: {error}", path.display()),

@@ -82,6 +82,7 @@ pub use surface::{Shape, Surface};
 
 /// What a robot recorded, and where it was.
 #[derive(Debug)]
+#[non_exhaustive]
 pub struct World {
     /// Initial guess of every vertex, then the measurements in time order.
     pub document: Document,

@@ -68,6 +68,7 @@ pub enum SmootherError {
 
 /// Which directions the factors leave free.
 #[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
 pub enum Singular {
     /// Some variables lack constraints of their own.
     #[error("the problem is underdetermined: {}. Add measurements or priors that determine {}, or add the variable{} together with them", free_list(variables), if variables.len() == 1 { "it" } else { "them" }, if variables.len() == 1 { "" } else { "s" })]
@@ -89,6 +90,7 @@ pub enum Singular {
 
 /// A variable with free directions.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct FreeVariable {
     /// The variable.
     pub variable: VariableId,

@@ -72,11 +72,11 @@ pub fn names_foreign_poses(path: &Path) -> bool {
 /// How a file has to be read.
 pub fn options(path: &Path) -> ReadOptions {
     let covariance = path.ends_with("victoria_park_gtsam.txt");
-    ReadOptions {
-        lenient: names_foreign_poses(path),
-        isam_matrix: if covariance { WeightKind::Covariance } else { WeightKind::SquareRoot },
-        ..ReadOptions::default()
-    }
+    ReadOptions::default().with_lenient(names_foreign_poses(path)).with_isam_matrix(if covariance {
+        WeightKind::Covariance
+    } else {
+        WeightKind::SquareRoot
+    })
 }
 
 /// Reads a file that is good.
