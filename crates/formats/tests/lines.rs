@@ -2,13 +2,11 @@
 
 mod common;
 
-use std::collections::HashMap;
-
 use evergraph_formats::{
     Coordinates, Dialect, Document, EntryOrder, FormatError, G2oRotation, ReadOptions, Record,
     WeightKind, WriteOptions,
 };
-use evergraph_model::{Graph, Kernel, Pose2, Value};
+use evergraph_model::{Pose2, Value};
 
 fn parse(text: &str) -> Document {
     Document::parse("text", text.as_bytes(), &ReadOptions::default())
