@@ -2,6 +2,7 @@
 
 use evergraph_formats::{FormatError, TrajectoryError};
 use evergraph_model::GraphError;
+use evergraph_replay::ReplayerError;
 use thiserror::Error;
 
 /// Why something could not be evaluated.
@@ -11,6 +12,9 @@ pub enum EvaluateError {
     /// A graph file is bad.
     #[error(transparent)]
     Format(#[from] FormatError),
+    /// The start values of a graph file cannot be composed.
+    #[error(transparent)]
+    Replay(#[from] ReplayerError),
     /// A trajectory is bad.
     #[error(transparent)]
     Trajectory(#[from] TrajectoryError),

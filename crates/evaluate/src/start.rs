@@ -19,7 +19,7 @@ impl Start {
     /// Sets the graph up at the start values that `initial` says.
     ///
     /// # Errors
-    /// [`EvaluateError::Format`], [`EvaluateError::Graph`] when the document is no graph.
+    /// [`EvaluateError::Replay`], [`EvaluateError::Graph`] when the document is no graph.
     pub fn of(document: &Document, initial: Initial) -> Result<Self, EvaluateError> {
         let options = ReplayOptions::default().with_prior(None).with_initial(initial);
         let mut replay = Replay::new(document, &options)?;

@@ -22,6 +22,15 @@ pub struct Conditioned {
     arguments: SmallVec<[Argument; 4]>,
 }
 
+/// The input of a [`Conditioned`] factor in the place of a variable of the whole factor.
+#[derive(Clone, Debug)]
+pub enum Input {
+    /// A variable: the same or another one of the same type.
+    Variable(VariableId),
+    /// A value.
+    Value(Value),
+}
+
 #[derive(Clone, Debug)]
 enum Argument {
     /// The place among the keys.
@@ -33,20 +42,35 @@ impl Conditioned {
     /// The factor `whole` with the values of `given`. `None` when it has no variable left, or does not take a value.
     /// Entries of `given` that are no variables of the factor are ignored.
     pub fn new(whole: Arc<dyn Factor>, given: &[(VariableId, Value)]) -> Option<Self> {
+        let input = |key: &VariableId| match given.iter().find(|(id, _)| id == key) {
+            Some((_, value)) => Input::Value(value.clone()),
+            None => Input::Variable(*key),
+        };
+        let inputs: SmallVec<[Input; 4]> = whole.keys().iter().map(input).collect();
+        Self::with_inputs(whole, inputs)
+    }
+
+    /// The factor `whole` with an input for each of its variables, in the order of its keys. `None` when the count is
+    /// another, when no input is a variable, or when the factor does not take a value.
+    pub fn with_inputs(
+        whole: Arc<dyn Factor>,
+        inputs: impl IntoIterator<Item = Input>,
+    ) -> Option<Self> {
         let (mut keys, mut arguments) = (SmallVec::new(), SmallVec::new());
-        for (position, &key) in whole.keys().iter().enumerate() {
-            arguments.push(match given.iter().find(|(id, _)| *id == key) {
-                Some((_, value)) if whole.accepts(position, value.kind(), value.dim()) => {
-                    Argument::Given(value.clone())
-                }
-                Some(_) => return None,
-                None => {
-                    keys.push(key);
+        for (position, input) in inputs.into_iter().enumerate() {
+            arguments.push(match input {
+                Input::Variable(variable) => {
+                    keys.push(variable);
                     Argument::Free(keys.len() - 1)
                 }
+                Input::Value(value) if !whole.accepts(position, value.kind(), value.dim()) => {
+                    return None;
+                }
+                Input::Value(value) => Argument::Given(value),
             });
         }
-        (!keys.is_empty()).then_some(Self { whole, keys, arguments })
+        let fits = !keys.is_empty() && arguments.len() == whole.keys().len();
+        fits.then_some(Self { whole, keys, arguments })
     }
 
     /// The whole factor.

@@ -96,7 +96,7 @@ pub use bearing3::{Bearing3, BearingRange3};
 pub use between::{
     Between, BetweenPoint2, BetweenPoint3, BetweenPose2, BetweenPose3, BetweenRot2, BetweenRot3,
 };
-pub use conditioned::Conditioned;
+pub use conditioned::{Conditioned, Input};
 pub use differences::{
     DepthDifference, HeadingDifference, TranslationDifference2, TranslationDifference3,
 };

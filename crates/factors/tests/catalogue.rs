@@ -7,12 +7,14 @@
 
 mod common;
 
+use std::sync::Arc;
+
 use common::{Source, key, linearize, residual};
 use evergraph_factors::catalogue::{
     Catalogue, CatalogueError, DataError, Description, FactorData, FactorReader, FactorWriter,
-    NoiseData, Part, STANDARD, StoredFactor, StoredVariable, ValueData,
+    GivenData, NoiseData, Part, STANDARD, StoredFactor, StoredVariable, ValueData,
 };
-use evergraph_factors::{Depth, FactorError, Linear, LocalJacobian, Prior, RootShift};
+use evergraph_factors::{Conditioned, Depth, FactorError, Linear, LocalJacobian, Prior, RootShift};
 use evergraph_model::{
     Arguments, Factor, Graph, Kernel, Linearization, Manifold, Point2, Point3, Pose2, Pose3,
     Robust, Rot2, Rot3, Value, VariableId, VariableType, VectorN,
@@ -76,6 +78,7 @@ fn data(source: &mut Source, of: &Description) -> (FactorData, Vec<Value>) {
         values: Vec::new(),
         noise: Some((&noise).into()),
         kernel: kernel[source.below(3)],
+        given: Vec::new(),
     };
     (data, kinds.iter().map(|kind| sample(source, kind)).collect())
 }
@@ -104,7 +107,12 @@ fn bits(numbers: &[f64]) -> Vec<u64> {
 
 /// The same residual, Jacobian and loss, bit for bit.
 fn assert_same(a: &dyn Factor, b: &dyn Factor, at: &[Value]) {
-    assert_eq!((a.name(), a.keys(), a.residual_dim()), (b.name(), b.keys(), b.residual_dim()));
+    assert_eq!(a.name(), b.name());
+    assert_same_numbers(a, b, at);
+}
+
+fn assert_same_numbers(a: &dyn Factor, b: &dyn Factor, at: &[Value]) {
+    assert_eq!((a.keys(), a.residual_dim()), (b.keys(), b.residual_dim()));
     let (r, s) = (residual(a, at), residual(b, at));
     assert_eq!(bits(&r), bits(&s), "{}", a.name());
     assert_eq!(a.error(&r).to_bits(), b.error(&s).to_bits(), "{}", a.name());
@@ -206,12 +214,205 @@ fn data_read_as_they_are_documented() {
         values: vec![],
         noise: Some(NoiseData::Diagonal(vec![20.0, 20.0, 50.0])),
         kernel: Kernel::huber(1.5).ok(),
+        given: Vec::new(),
     };
     assert_eq!(
         serde_json::to_string(&data).unwrap(),
         r#"{"name":"Between<Pose2>","ends":[],"numbers":[1.0,0.0,1.0,0.0],"values":[],"#.to_owned()
-            + r#""noise":{"diagonal":[20.0,20.0,50.0]},"kernel":{"Huber":{"threshold":1.5}}}"#
+            + r#""noise":{"diagonal":[20.0,20.0,50.0]},"kernel":{"Huber":{"threshold":1.5}},"given":[]}"#
     );
+    // Data without given values may leave them out.
+    let text = serde_json::to_string(&data).unwrap().replace(r#","given":[]"#, "");
+    assert_eq!(serde_json::from_str::<FactorData>(&text).unwrap(), data);
+}
+
+/// Each factor of several variables, with one of them given, then all but one.
+#[test]
+fn conditioned_factors_come_back_with_the_same_bits() {
+    let catalogue = Catalogue::standard();
+    let mut source = Source::new(74);
+    for of in STANDARD {
+        let (data, at) = data(&mut source, of);
+        let whole = catalogue.to_factor(&data).unwrap();
+        let mut factor: Arc<dyn Factor> = whole;
+        let mut at: Vec<Value> = at;
+        while factor.keys().len() > 1 {
+            let place = source.below(factor.keys().len());
+            let given = [(factor.keys()[place], at.remove(place))];
+            let conditioned = Conditioned::new(factor, &given).unwrap();
+            let stored = catalogue.to_data(&conditioned).unwrap();
+            assert_eq!((&*stored.name, &*stored.ends), (of.name, conditioned.keys()));
+            assert_eq!(stored.ends.len() + stored.given.len(), data.ends.len());
+            for read in [stored.clone(), through_json(&stored), through_bytes(&stored)] {
+                assert_eq!(read, stored, "{}", of.name);
+                let read = catalogue.to_factor(&read).unwrap();
+                assert_same_numbers(&conditioned, &*read, &at);
+                assert_eq!(catalogue.to_data(&*read).unwrap(), stored, "{}", of.name);
+            }
+            factor = Arc::new(conditioned);
+        }
+    }
+}
+
+/// Under a kernel as well, but not under one of its own and one of the whole factor.
+#[test]
+fn conditioned_factors_keep_a_kernel() {
+    let catalogue = Catalogue::standard();
+    let mut source = Source::new(75);
+    let of = Description::named("Between<Pose2>").unwrap();
+    let (mut data, at) = data(&mut source, of);
+    data.kernel = Kernel::huber(0.1).ok();
+    let robust = catalogue.to_factor(&data).unwrap();
+    data.kernel = None;
+    let plain = catalogue.to_factor(&data).unwrap();
+    let given = [(data.ends[0], at[0].clone())];
+    let kernel = Kernel::huber(0.1).unwrap();
+    let inside = Conditioned::new(robust, &given).unwrap();
+    let around = Robust::new(Conditioned::new(plain, &given).unwrap(), kernel);
+    for factor in [&inside as &dyn Factor, &around] {
+        let stored = catalogue.to_data(factor).unwrap();
+        assert_eq!(stored.kernel, Some(kernel));
+        assert_same_numbers(factor, &*catalogue.to_factor(&stored).unwrap(), &at[1..]);
+    }
+    let both = Robust::new(inside, kernel);
+    let error = catalogue.to_data(&both).unwrap_err();
+    let CatalogueError::InvalidFactor { source: DataError::Kernels, .. } = error else {
+        panic!("{error}")
+    };
+}
+
+#[test]
+fn given_values_that_do_not_fit_are_typed_errors() {
+    let catalogue = Catalogue::standard();
+    let mut source = Source::new(76);
+    let (data, at) = data(&mut source, Description::named("Between<Pose2>").unwrap());
+    let factor = catalogue.to_factor(&data).unwrap();
+    let conditioned = Conditioned::new(factor, &[(data.ends[0], at[0].clone())]).unwrap();
+    let good = catalogue.to_data(&conditioned).unwrap();
+    let error = |change: &dyn Fn(&mut FactorData)| {
+        let mut data = good.clone();
+        change(&mut data);
+        match catalogue.to_factor(&data).unwrap_err() {
+            CatalogueError::InvalidFactor { source, .. } => source,
+            other => panic!("{other}"),
+        }
+    };
+    type E = DataError;
+    assert!(matches!(error(&|d| d.given[0].position = 2), E::Given { given: 1, ends: 1 }));
+    assert!(matches!(error(&|d| d.given[0].position = u32::MAX), E::Given { .. }));
+    assert!(matches!(error(&|d| d.given.push(d.given[0].clone())), E::Given { given: 2, .. }));
+    assert!(matches!(error(&|d| d.ends.clear()), E::Ends { expected: 2, actual: 1 }));
+    let all = |d: &mut FactorData| {
+        d.ends.clear();
+        d.given.push(GivenData { position: 1, ..d.given[0].clone() });
+    };
+    assert!(matches!(error(&all), E::Given { given: 2, ends: 0 }));
+    let of_kind = |kind: &str, numbers: &[f64]| {
+        let value = ValueData { kind: kind.into(), numbers: numbers.to_vec() };
+        error(&move |d| d.given[0].value = value.clone())
+    };
+    assert!(matches!(of_kind("Point2", &[1.0, 2.0]), E::Given { .. }));
+    assert!(matches!(of_kind("Pose2", &[1.0, 2.0, 3.0, 4.0]), E::Value(_)));
+    assert!(matches!(of_kind("acme.Bias", &[]), E::Value(_)));
+}
+
+/// A type with a fault in the code that stores and loads it.
+#[derive(Clone, Debug, PartialEq)]
+struct Careless(f64);
+
+impl Manifold for Careless {
+    const NAME: &'static str = "acme.Careless";
+    const COMPONENTS: &'static [&'static str] = &["x"];
+    fn dim(&self) -> usize {
+        1
+    }
+    fn storage_len(&self) -> usize {
+        1
+    }
+    fn store(&self, out: &mut [f64]) {
+        out[0] = self.0;
+    }
+    fn load(storage: &[f64]) -> Self {
+        assert!(storage[0] < 7.0, "no such value");
+        Self(storage[0])
+    }
+    fn retract(&self, d: &[f64]) -> Self {
+        Self(self.0 + d[0])
+    }
+    fn local(&self, to: &Self, out: &mut [f64]) {
+        out[0] = to.0 - self.0;
+    }
+}
+
+impl StoredVariable for Careless {
+    const LENGTH: Option<usize> = Some(1);
+}
+
+/// A factor with such a fault.
+#[derive(Clone, Debug)]
+struct Moody(First);
+
+impl Factor for Moody {
+    fn name(&self) -> String {
+        "acme.Moody".into()
+    }
+    fn keys(&self) -> &[VariableId] {
+        self.0.keys()
+    }
+    fn residual_dim(&self) -> usize {
+        1
+    }
+    fn accepts(&self, position: usize, kind: &VariableType, dim: usize) -> bool {
+        self.0.accepts(position, kind, dim)
+    }
+    fn residual(&self, at: &Arguments<'_>, out: &mut [f64]) {
+        self.0.residual(at, out);
+    }
+    fn linearize(&self, at: &Arguments<'_>, out: &mut Linearization<'_>) {
+        self.0.linearize(at, out);
+    }
+    fn as_any(&self) -> &dyn std::any::Any {
+        self
+    }
+}
+
+impl StoredFactor for Moody {
+    fn stored_name() -> std::borrow::Cow<'static, str> {
+        "acme.Moody".into()
+    }
+    fn store(&self, _: &mut FactorWriter<'_>) -> Result<(), DataError> {
+        assert!(self.0.at < 1.0, "not today");
+        Ok(())
+    }
+    fn restore(_: &mut FactorReader<'_>) -> Result<Self, DataError> {
+        panic!("nor tomorrow");
+    }
+}
+
+#[test]
+fn panics_in_users_code_are_typed_errors() {
+    let mut catalogue = Catalogue::standard();
+    catalogue.register_variable::<Careless>().unwrap();
+    catalogue.register_factor::<Moody>().unwrap();
+    let value = ValueData { kind: "acme.Careless".into(), numbers: vec![6.0] };
+    assert_eq!(catalogue.to_value(&value).unwrap(), Value::new(&Careless(6.0)));
+    let error = catalogue.to_value(&ValueData { numbers: vec![8.0], ..value }).unwrap_err();
+    assert!(
+        matches!(&error, CatalogueError::InvalidValue { name, source: DataError::Panicked { message } }
+            if name == "acme.Careless" && message == "no such value"),
+        "{error}"
+    );
+
+    let moody = |mood| Moody(First { keys: [ids(1)[0]], at: mood });
+    let panicked = |error: CatalogueError, expected: &str| match &error {
+        CatalogueError::InvalidFactor { source: DataError::Panicked { message }, name } => {
+            assert_eq!((&**name, &**message), ("acme.Moody", expected));
+        }
+        _ => panic!("{error}"),
+    };
+    panicked(catalogue.to_data(&moody(1.0)).unwrap_err(), "not today");
+    let data = catalogue.to_data(&moody(0.0)).unwrap();
+    panicked(catalogue.to_factor(&data).unwrap_err(), "nor tomorrow");
 }
 
 /// A factor of a user: the distance of a vector's first entry from a number.
@@ -426,7 +627,7 @@ fn damage(data: &mut FactorData, kind: u8, place: usize, number: f64) {
             _ => numbers.insert(at, number),
         }
     };
-    match kind / 3 % 7 {
+    match kind / 3 % 8 {
         0 | 1 => put(&mut data.numbers),
         2 => match &mut data.noise {
             Some(NoiseData::Diagonal(entries) | NoiseData::Upper(entries)) => put(entries),
@@ -438,6 +639,15 @@ fn damage(data: &mut FactorData, kind: u8, place: usize, number: f64) {
         },
         4 => data.name = STANDARD[place % STANDARD.len()].name.into(),
         5 => data.ends = ids(place % 4),
+        6 => data.given.push(GivenData {
+            position: (place % 4) as u32,
+            variable: ids(1)[0],
+            value: ValueData {
+                kind: ["Pose2", "Pose3", "Point2", "Point3"][place / 4 % 4].into(),
+                numbers: [number, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0][..[4, 7, 2, 3][place / 4 % 4]]
+                    .into(),
+            },
+        }),
         _ => match data.noise.take() {
             Some(NoiseData::Diagonal(entries)) => data.noise = Some(NoiseData::Upper(entries)),
             Some(NoiseData::Upper(entries)) => data.noise = Some(NoiseData::Diagonal(entries)),

@@ -138,6 +138,7 @@ fn empty(
         values: Vec::new(),
         noise: Some(noise.into()),
         kernel,
+        given: Vec::new(),
     }
 }
 

@@ -7,7 +7,7 @@ use thiserror::Error;
 use crate::arguments::{Arguments, Linearization};
 use crate::factor::Factor;
 use crate::key::VariableId;
-use crate::user_code::{guarded, name_of};
+use crate::user_code::{self, name_of};
 use crate::value::ValueRef;
 
 /// A factor that cannot be evaluated at some values.
@@ -112,7 +112,7 @@ impl LinearizedFactor {
         let storages: SmallVec<[&[f64]; 4]> = values.iter().map(ValueRef::storage).collect();
         let at = Arguments::new(&storages);
         // The next call overwrites the buffers that a panic leaves half written.
-        guarded(|| {
+        user_code::call(|| {
             factor.residual(&at, &mut self.residual);
             self.error = factor.error(&self.residual);
             factor.linearize(&at, &mut Linearization::new(rows, &self.columns, &mut self.data));

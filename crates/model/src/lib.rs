@@ -48,7 +48,7 @@ mod moves;
 mod noise;
 mod slots;
 pub mod testing;
-mod user_code;
+pub mod user_code;
 mod value;
 mod values;
 mod world;

@@ -4,7 +4,7 @@ use smallvec::SmallVec;
 
 use crate::error::GraphError;
 use crate::manifold::{Manifold, VariableType};
-use crate::user_code::guarded;
+use crate::user_code;
 
 /// A point on some manifold.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,7 +32,7 @@ impl Value {
             GraphError::BadStorage { kind, numbers, problem }
         };
         // A type reads what it wrote itself; whatever else panics there is bad data.
-        let (dim, again) = guarded(|| kind.reload(storage)).map_err(bad)?;
+        let (dim, again) = user_code::call(|| kind.reload(storage)).map_err(bad)?;
         if again != storage.len() {
             return Err(bad(format!("such a value has {again} numbers")));
         }

@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use evergraph_formats::FormatError;
 use evergraph_model::{Change, Factor, FactorId};
 
+use crate::error::ReplayerError;
 use crate::geometry::{Geometry, Handle, bad};
 use crate::known::{Estimate, Known};
 use crate::options::{Step, StepKind};
@@ -19,7 +19,7 @@ impl Replay {
         mut step: Planned,
         change: &mut Change,
         mut estimate: Option<Estimate<'_>>,
-    ) -> Result<Step, FormatError> {
+    ) -> Result<Step, ReplayerError> {
         let mut known = Known { before: self.order.len(), estimate: &mut estimate };
         self.compose(&step.arrivals, &mut known)?;
         let mut bodies = self.place_bodies(&step, &mut known)?;
@@ -34,7 +34,7 @@ impl Replay {
             let start = self.starts[node].map(|(_, start)| start);
             let start = start.filter(Geometry::is_finite).ok_or_else(|| {
                 let place = self.place(along.map(|(link, _)| link));
-                FormatError::StartNotFinite { place, id: self.nodes[node].id }
+                ReplayerError::StartNotFinite { place, id: self.nodes[node].id }
             })?;
             let handle = self.bring_in(node, start, change);
             if self.nodes[node].kind.is_pose() {
@@ -53,7 +53,7 @@ impl Replay {
         self.priors.extend_from_slice(&gauge_priors);
         let closes = step.closes || freed.closes;
         Ok(Step {
-            pose: newest.ok_or_else(|| FormatError::NoPose { file: Arc::clone(&self.name) })?,
+            pose: newest.ok_or_else(|| ReplayerError::NoPose { file: Arc::clone(&self.name) })?,
             kind: if closes { StepKind::Loop } else { StepKind::Explore },
             factors: step.links.len() + freed.factors,
             variables: step.arrivals.len() + freed.variables,
@@ -65,7 +65,7 @@ impl Replay {
         &mut self,
         link: usize,
         change: &mut Change,
-    ) -> Result<(), FormatError> {
+    ) -> Result<(), ReplayerError> {
         let ends = self.links[link].ends.iter().map(|&end| self.handles[end]);
         let ends: Option<Vec<Handle>> = ends.collect();
         let place = self.place(Some(link));
@@ -77,7 +77,7 @@ impl Replay {
     }
 
     /// A factor on variables of no graph, to evaluate it.
-    pub(crate) fn scratch_factor(&self, link: usize) -> Result<Arc<dyn Factor>, FormatError> {
+    pub(crate) fn scratch_factor(&self, link: usize) -> Result<Arc<dyn Factor>, ReplayerError> {
         let ends: Vec<Handle> =
             self.links[link].ends.iter().map(|&end| self.scratch[end]).collect();
         let factor = self.observations[link].factor(&ends);

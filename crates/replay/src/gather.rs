@@ -6,6 +6,7 @@ use evergraph_formats::{Document, FormatError, Kind, Line, Record};
 use evergraph_model::Pose3;
 use smallvec::SmallVec;
 
+use crate::error::ReplayerError;
 use crate::geometry::{bad, named_by, slot};
 use crate::observation::{Observation, Observed};
 use crate::order::Link;
@@ -13,7 +14,7 @@ use crate::state::Replay;
 
 impl Replay {
     /// Takes vertices, fixed poses, and every factor.
-    pub(crate) fn gather(&mut self, document: &Document) -> Result<(), FormatError> {
+    pub(crate) fn gather(&mut self, document: &Document) -> Result<(), ReplayerError> {
         let sensors = sensors(document);
         for line in document.lines() {
             let place = document.place(line.number);
@@ -57,7 +58,7 @@ impl Replay {
         document: &Document,
         line: &Line,
         observed: Observed,
-    ) -> Result<(), FormatError> {
+    ) -> Result<(), ReplayerError> {
         let place = document.place(line.number);
         let mut ends: SmallVec<[usize; 2]> = SmallVec::new();
         for (id, kind) in line.record.ends() {

@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 
 use evergraph_factors::Prior;
-use evergraph_formats::{FormatError, Quantity};
+use evergraph_formats::Quantity;
 use evergraph_initialize::{Body, End, Gauge, hold};
 use evergraph_model::{Change, Noise};
 use nalgebra::{DMatrix, DVector};
 use smallvec::SmallVec;
 
+use crate::error::ReplayerError;
 use crate::geometry::{Geometry, Handle, bad, origin, point};
 use crate::known::Known;
 use crate::observation::Observed;
@@ -47,7 +48,7 @@ impl Bodies {
 impl Replay {
     /// Decides which components absolute measurements hold, wholly or partly: the steps until they
     /// do become one, and the gauge prior goes or is for the free directions only.
-    pub(crate) fn settle_gauge(&mut self) -> Result<(), FormatError> {
+    pub(crate) fn settle_gauge(&mut self) -> Result<(), ReplayerError> {
         let held = self.components_that_may_be_held();
         if held.is_empty() {
             return Ok(());
@@ -106,7 +107,7 @@ impl Replay {
         &self,
         members: &[usize],
         steps: &mut [Planned],
-    ) -> Result<(), FormatError> {
+    ) -> Result<(), ReplayerError> {
         let Some(first) = members.first().map(|&at| steps[at].arrivals[0].node) else {
             return Ok(());
         };
@@ -152,8 +153,8 @@ impl Replay {
         &self,
         body: &mut Body,
         link: usize,
-        mut end: impl FnMut(usize) -> Result<Option<End>, FormatError>,
-    ) -> Result<bool, FormatError> {
+        mut end: impl FnMut(usize) -> Result<Option<End>, ReplayerError>,
+    ) -> Result<bool, ReplayerError> {
         let mut ends: SmallVec<[End; 2]> = SmallVec::new();
         for &node in &self.links[link].ends {
             let Some(end) = end(node)? else { return Ok(false) };
@@ -173,7 +174,7 @@ impl Replay {
         &mut self,
         step: &Planned,
         known: &mut Known<'_, '_>,
-    ) -> Result<Bodies, FormatError> {
+    ) -> Result<Bodies, ReplayerError> {
         let mut bodies = Bodies::default();
         // By node, the body that it is part of.
         let mut body_of: BTreeMap<usize, usize> = BTreeMap::new();
@@ -211,7 +212,7 @@ impl Replay {
         body_of: &BTreeMap<usize, usize>,
         known: &mut Known<'_, '_>,
         bodies: &mut Bodies,
-    ) -> Result<(), FormatError> {
+    ) -> Result<(), ReplayerError> {
         let Some(&first) = part.nodes.first() else { return Ok(()) };
         let Some((_, origin)) = self.starts[first] else { return Ok(()) };
         let mut body = Body::new(&origin);
@@ -279,7 +280,7 @@ impl Replay {
         pose: usize,
         free: Option<DMatrix<f64>>,
         change: &mut Change,
-    ) -> Result<Option<GaugePrior>, FormatError> {
+    ) -> Result<Option<GaugePrior>, ReplayerError> {
         let (Some(sigma), Some(handle)) = (self.options.prior, self.handles[pose]) else {
             return Ok(None);
         };

@@ -5,6 +5,8 @@ pub(crate) use evergraph_initialize::Geometry;
 use evergraph_model::{Change, Key, LieGroup, Point2, Point3, Pose2, Pose3, Value, VariableId};
 use nalgebra::Vector3;
 
+use crate::error::ReplayerError;
+
 /// A typed key of any of the file's kinds.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Handle {
@@ -88,6 +90,6 @@ pub(crate) fn slot(id: u64, kind: Kind) -> (u64, bool) {
 }
 
 /// A measurement that cannot be used, for a reason in words.
-pub(crate) fn bad(place: &Place, problem: impl ToString) -> FormatError {
-    FormatError::BadMeasurement { place: place.clone(), problem: problem.to_string() }
+pub(crate) fn bad(place: &Place, problem: impl ToString) -> ReplayerError {
+    FormatError::BadMeasurement { place: place.clone(), problem: problem.to_string() }.into()
 }

@@ -2,11 +2,12 @@
 
 use std::collections::BTreeSet;
 
-use evergraph_formats::{FormatError, Kind};
+use evergraph_formats::Kind;
 use evergraph_initialize::{Landmark, Sighting, determines_landmark, place_landmark};
 use evergraph_model::{Change, Point2, Point3, Value, VariableId};
 use smallvec::SmallVec;
 
+use crate::error::ReplayerError;
 use crate::geometry::{Geometry, Handle, bad};
 use crate::known::Known;
 use crate::options::Initial;
@@ -30,7 +31,7 @@ impl Replay {
         all: bool,
         known: &mut Known<'_, '_>,
         change: &mut Change,
-    ) -> Result<Freed, FormatError> {
+    ) -> Result<Freed, ReplayerError> {
         let mut freed = Freed::default();
         let mut touched = BTreeSet::new();
         for &link in waiting {
@@ -78,7 +79,7 @@ impl Replay {
         landmark: usize,
         again: bool,
         known: &mut Known<'_, '_>,
-    ) -> Result<Option<Geometry>, FormatError> {
+    ) -> Result<Option<Geometry>, ReplayerError> {
         let Some(held) = self.held.get_mut(&landmark) else { return Ok(None) };
         let pending = std::mem::take(&mut held.pending);
         let (usable, pending): (Vec<usize>, Vec<usize>) =
@@ -110,7 +111,7 @@ impl Replay {
         link: usize,
         landmark: usize,
         known: &mut Known<'_, '_>,
-    ) -> Result<Sighting, FormatError> {
+    ) -> Result<Sighting, ReplayerError> {
         let mut values: SmallVec<[(VariableId, Value); 2]> = SmallVec::new();
         for &node in self.links[link].ends.iter().filter(|&&node| node != landmark) {
             values.push((self.scratch[node].id(), self.known(node, link, known)?.value()));

@@ -1,8 +1,8 @@
 //! Start values of newcomers, from where the variables before them are.
 
-use evergraph_formats::FormatError;
 use evergraph_model::{Value, VariableId};
 
+use crate::error::ReplayerError;
 use crate::geometry::{Geometry, bad, of_kind, origin};
 use crate::options::Initial;
 use crate::order::{Arrival, Node};
@@ -24,7 +24,7 @@ impl Replay {
         &mut self,
         arrivals: &[Arrival],
         known: &mut Known<'_, '_>,
-    ) -> Result<(), FormatError> {
+    ) -> Result<(), ReplayerError> {
         for (at, &arrival) in arrivals.iter().enumerate() {
             let start = match (self.options.initial, self.vertices[arrival.node]) {
                 (Initial::FromFile, Some(vertex)) => vertex,
@@ -40,15 +40,15 @@ impl Replay {
         &self,
         arrival: Arrival,
         known: &mut Known<'_, '_>,
-    ) -> Result<Geometry, FormatError> {
+    ) -> Result<Geometry, ReplayerError> {
         let node = arrival.node;
         let Node { id, kind } = self.nodes[node];
         let Some((link, other)) = arrival.along else {
             return Ok(self.vertices[node].unwrap_or_else(|| origin(kind)));
         };
         let other_value = self.known(other, link, known).map_err(|error| match error {
-            FormatError::NoEstimate { place, variable, .. } => {
-                FormatError::NoEstimate { place, id, variable }
+            ReplayerError::NoEstimate { place, variable, .. } => {
+                ReplayerError::NoEstimate { place, id, variable }
             }
             other => other,
         })?;
@@ -67,12 +67,12 @@ impl Replay {
         node: usize,
         link: usize,
         known: &mut Known<'_, '_>,
-    ) -> Result<Geometry, FormatError> {
+    ) -> Result<Geometry, ReplayerError> {
         match (self.starts[node], &mut *known.estimate, self.handles[node]) {
             (Some((position, _)), Some(estimate), Some(handle)) if position < known.before => {
                 let value = estimate(handle.id());
                 value.and_then(|value| of_kind(&value, self.nodes[node].kind)).ok_or_else(|| {
-                    FormatError::NoEstimate {
+                    ReplayerError::NoEstimate {
                         place: self.place(Some(link)),
                         id: self.nodes[node].id,
                         variable: handle.id(),

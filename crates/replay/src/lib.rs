@@ -39,6 +39,7 @@
 
 mod audit;
 mod chordal;
+mod components;
 mod emit;
 mod error;
 mod factor;

@@ -2,13 +2,13 @@
 
 use evergraph_factors::RootShift;
 use evergraph_formats::{
-    Coordinates, Document, FormatError, Kind, Line, LinearMeasurement, Measurement, Quantity,
-    Weight,
+    Coordinates, Document, Kind, Line, LinearMeasurement, Measurement, Quantity, Weight,
 };
 use evergraph_model::{Kernel, Noise, Pose3, Value};
 use nalgebra::{DMatrix, DVector};
 use smallvec::SmallVec;
 
+use crate::error::ReplayerError;
 use crate::geometry::{Geometry, bad, named_by};
 use crate::order::Ties;
 
@@ -59,7 +59,7 @@ impl Observed {
         line: &Line,
         (measurement, weight): (&Coordinates, &Weight),
         sensor: Option<Pose3>,
-    ) -> Result<Self, FormatError> {
+    ) -> Result<Self, ReplayerError> {
         let place = document.place(line.number);
         Ok(Self::Relative {
             measurement: named_by(measurement)
@@ -74,7 +74,7 @@ impl Observed {
         line: &Line,
         measurement: &Measurement,
         sensor: Option<Pose3>,
-    ) -> Result<Self, FormatError> {
+    ) -> Result<Self, ReplayerError> {
         let place = document.place(line.number);
         let Measurement { quantity, ends, numbers, weight, .. } = measurement;
         let kinds: SmallVec<[Kind; 2]> = ends.iter().map(|(_, kind)| *kind).collect();
@@ -97,7 +97,7 @@ impl Observed {
         document: &Document,
         line: &Line,
         linear: &LinearMeasurement,
-    ) -> Result<Self, FormatError> {
+    ) -> Result<Self, ReplayerError> {
         let place = document.place(line.number);
         let LinearMeasurement { points, root_shift, rows, sqrt_information, offset } = linear;
         let points: Option<Vec<Geometry>> = points.iter().map(|(_, at)| named_by(at)).collect();

@@ -5,6 +5,8 @@ use std::collections::VecDeque;
 use evergraph_formats::Kind;
 use smallvec::SmallVec;
 
+use crate::components::Components;
+
 /// A variable of the file.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Node {
@@ -369,21 +371,9 @@ impl<'a> Planner<'a> {
     }
 }
 
-/// The connected component of each node, named by one of its members.
+/// The connected component of each node, named by its lowest node.
 pub(crate) fn components(nodes: usize, links: &[Link]) -> Vec<usize> {
-    fn root(parent: &mut [usize], mut node: usize) -> usize {
-        while parent[node] != node {
-            parent[node] = parent[parent[node]];
-            node = parent[node];
-        }
-        node
-    }
-    let mut parent: Vec<usize> = (0..nodes).collect();
-    for link in links {
-        for pair in link.ends.windows(2) {
-            let (a, b) = (root(&mut parent, pair[0]), root(&mut parent, pair[1]));
-            parent[a.max(b)] = a.min(b);
-        }
-    }
-    (0..nodes).map(|node| root(&mut parent, node)).collect()
+    let mut components = Components::new(nodes);
+    links.iter().for_each(|link| components.join(&link.ends));
+    components.of_all()
 }

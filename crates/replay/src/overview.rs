@@ -4,6 +4,8 @@ use std::collections::{BTreeMap, HashMap};
 
 use evergraph_formats::{Document, Record};
 
+use crate::components::Components;
+
 /// What a file holds, as a graph.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Overview {
@@ -42,7 +44,7 @@ impl Overview {
         let places: HashMap<(u64, bool), usize> =
             ids.iter().enumerate().map(|(at, (id, kind))| ((*id, kind.is_pose()), at)).collect();
         let mut overview = Self::default();
-        let mut parent: Vec<usize> = (0..ids.len()).collect();
+        let mut components = Components::new(ids.len());
         let mut pairs: HashMap<(usize, usize), usize> = HashMap::new();
         for record in document.records() {
             *overview.records.entry(name(record)).or_default() += 1;
@@ -54,17 +56,14 @@ impl Overview {
             if let (Record::Edge { .. }, &[a, b]) = (record, &ends[..]) {
                 *pairs.entry((a.min(b), a.max(b))).or_default() += 1;
             }
-            for pair in ends.windows(2) {
-                let (a, b) = (root(&mut parent, pair[0]), root(&mut parent, pair[1]));
-                parent[a.max(b)] = a.min(b);
-            }
+            components.join(&ends);
         }
         overview.repeated_pairs = pairs.values().filter(|&&edges| edges > 1).count();
         overview.repeated_edges = pairs.values().map(|edges| edges - 1).sum();
 
         let mut of_root: HashMap<usize, usize> = HashMap::new();
         for (at, (id, kind)) in ids.iter().enumerate() {
-            let index = *of_root.entry(root(&mut parent, at)).or_insert_with(|| {
+            let index = *of_root.entry(components.of(at)).or_insert_with(|| {
                 overview.components.push(Component { first: *id, poses: 0, landmarks: 0 });
                 overview.components.len() - 1
             });
@@ -107,14 +106,6 @@ fn name(record: &Record) -> String {
         Record::Linear(_) => "linear factors".into(),
         Record::Measurement(measurement) => measurement.quantity.name().into(),
     }
-}
-
-fn root(parent: &mut [usize], mut node: usize) -> usize {
-    while parent[node] != node {
-        parent[node] = parent[parent[node]];
-        node = parent[node];
-    }
-    node
 }
 
 #[cfg(test)]

@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use evergraph_formats::{Dialect, Document, FormatError};
+use evergraph_formats::{Dialect, Document};
 use evergraph_model::{Change, Graph, Noise, Value, VariableId};
 
+use crate::error::ReplayerError;
 use crate::geometry::{Handle, origin, slot};
 use crate::options::{ReplayOptions, Step};
 use crate::order::{self, By, Node};
@@ -15,19 +16,19 @@ impl Replay {
     /// Plans the replay of a document.
     ///
     /// # Errors
-    /// [`FormatError::NoPose`], [`FormatError::BadSetting`], [`FormatError::BadMeasurement`] for a
+    /// [`ReplayerError::NoPose`], [`ReplayerError::BadSetting`], [`ReplayerError::Format`] for a
     /// matrix that overflows.
-    pub fn new(document: &Document, options: &ReplayOptions) -> Result<Self, FormatError> {
+    pub fn new(document: &Document, options: &ReplayOptions) -> Result<Self, ReplayerError> {
         if let Some(sigma) = options.prior
             && Noise::isotropic(1, sigma).is_err()
         {
             let (setting, demand) = ("sigma of the gauge prior", "positive and finite");
-            return Err(FormatError::BadSetting { setting, value: sigma, demand });
+            return Err(ReplayerError::BadSetting { setting, value: sigma, demand });
         }
         let nodes: Vec<Node> =
             document.ids().into_iter().map(|(id, kind)| Node { id, kind }).collect();
         if !nodes.iter().any(|node| node.kind.is_pose()) {
-            return Err(FormatError::NoPose { file: document.name().into() });
+            return Err(ReplayerError::NoPose { file: document.name().into() });
         }
         let count = nodes.len();
         let mut scratch = Graph::new().change();
@@ -73,13 +74,13 @@ impl Replay {
     /// the change before asking for the next.
     ///
     /// # Errors
-    /// [`FormatError::NoEstimate`], [`FormatError::StartNotFinite`],
-    /// [`FormatError::BadMeasurement`]. After an error there are no more steps.
+    /// [`ReplayerError::NoEstimate`], [`ReplayerError::StartNotFinite`],
+    /// [`ReplayerError::Format`]. After an error there are no more steps.
     pub fn next_step(
         &mut self,
         change: &mut Change,
         estimate: &mut dyn FnMut(VariableId) -> Option<Value>,
-    ) -> Option<Result<Step, FormatError>> {
+    ) -> Option<Result<Step, ReplayerError>> {
         let step = self.steps.get_mut(self.next).map(std::mem::take)?;
         self.next += 1;
         let result = self.emit(step, change, Some(estimate));
@@ -94,8 +95,8 @@ impl Replay {
     /// order of the steps.
     ///
     /// # Errors
-    /// As [`next_step`](Self::next_step); [`FormatError::NoPose`] when no step is left.
-    pub fn everything(&mut self, change: &mut Change) -> Result<Step, FormatError> {
+    /// As [`next_step`](Self::next_step); [`ReplayerError::NoPose`] when no step is left.
+    pub fn everything(&mut self, change: &mut Change) -> Result<Step, ReplayerError> {
         let mut whole: Option<Step> = None;
         while let Some(step) = self.steps.get_mut(self.next).map(std::mem::take) {
             self.next += 1;
@@ -109,6 +110,6 @@ impl Replay {
                 Some(whole) => whole.append(step),
             }
         }
-        whole.ok_or_else(|| FormatError::NoPose { file: Arc::clone(&self.name) })
+        whole.ok_or_else(|| ReplayerError::NoPose { file: Arc::clone(&self.name) })
     }
 }

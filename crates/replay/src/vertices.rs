@@ -1,8 +1,9 @@
 //! Vertices for documents that have none.
 
-use evergraph_formats::{Document, FormatError};
+use evergraph_formats::Document;
 use evergraph_model::Graph;
 
+use crate::error::ReplayerError;
 use crate::options::ReplayOptions;
 use crate::state::Replay;
 
@@ -10,11 +11,11 @@ use crate::state::Replay;
 /// written as TORO, which is known by its vertices ([`Document::needs_vertices`]).
 ///
 /// # Errors
-/// [`FormatError`] when the document is no graph.
+/// [`ReplayerError`] when the document is no graph.
 ///
 /// ```
 /// use evergraph_formats::{Dialect, Document, ReadOptions};
-/// # fn main() -> Result<(), evergraph_formats::FormatError> {
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// let text = "EDGE2 0 1 1 2 0 2 1 0 2 0 3\n";
 /// let isam = Document::parse("edges", text.as_bytes(), &ReadOptions::default())?;
 /// assert!(isam.needs_vertices(Dialect::Toro));
@@ -24,12 +25,12 @@ use crate::state::Replay;
 /// # Ok(())
 /// # }
 /// ```
-pub fn with_start_vertices(document: &Document) -> Result<Document, FormatError> {
+pub fn with_start_vertices(document: &Document) -> Result<Document, ReplayerError> {
     let options = ReplayOptions { prior: None, ..ReplayOptions::default() };
     let mut replay = Replay::new(document, &options)?;
     let mut change = Graph::new().change();
     replay.everything(&mut change)?;
     let values = change.new_variables().iter().map(|(_, value)| value.clone());
     let ids: Vec<u64> = replay.ids().map(|(id, _)| id).collect();
-    document.with_vertices(ids.into_iter().zip(values))
+    Ok(document.with_vertices(ids.into_iter().zip(values))?)
 }

@@ -5,43 +5,17 @@ use evergraph_longterm::RemovalError;
 use evergraph_model::VariableId;
 use evergraph_solver::{Singular, SmootherError};
 
-/// How many variables a message lists.
-const SHOWN: usize = 5;
-
 /// The error as a paragraph; `id` gives a variable's id in the file.
 pub(crate) fn explain(error: &SmootherError, id: &dyn Fn(VariableId) -> Option<u64>) -> String {
     let name = |variable: VariableId| id(variable).map_or_else(|| variable.to_string(), spell_id);
     match error {
-        SmootherError::Singular(Singular::Component { examples, count, free }) => {
-            let names: Vec<String> = examples.iter().map(|v| name(*v)).collect();
-            let (variables, directions) = (plural(*count, "variable"), plural(*free, "direction"));
-            format!(
-                "the connected component of {} ({variables}) can move as a whole in {directions}: nothing \
-                 says where it is, or nothing of a weight that tells beside the others'. Give one of its \
-                 variables a prior, GPS or another absolute measurement",
-                names.join(", ")
-            )
-        }
-        SmootherError::Singular(Singular::Variables { variables }) => {
-            let mut list: Vec<String> = variables
-                .iter()
-                .take(SHOWN)
-                .map(|v| {
-                    let (free, dim) = (v.free, v.dim);
-                    let components = v.components.join(", ");
-                    format!(
-                        "{}: {free} of {dim} directions unconstrained: {components}",
-                        name(v.variable)
-                    )
-                })
-                .collect();
-            if variables.len() > SHOWN {
-                list.push(format!("and {} more", variables.len() - SHOWN));
-            }
-            format!(
-                "the problem is underdetermined: {}. Add measurements or priors that determine them",
-                list.join("; ")
-            )
+        SmootherError::Singular(singular @ Singular::Component { .. }) => format!(
+            "{}: nothing says where it is, or nothing of a weight that tells beside the others'. Give one of \
+             its variables a prior, GPS or another absolute measurement",
+            singular.describe(name)
+        ),
+        SmootherError::Singular(singular @ Singular::Variables { .. }) => {
+            format!("{}. Add measurements or priors that determine them", singular.describe(name))
         }
         SmootherError::NonFinite { name: factor, variables, .. } => {
             let names: Vec<String> = variables.iter().map(|v| name(*v)).collect();
@@ -97,8 +71,4 @@ pub(crate) fn explain_removal(error: &RemovalError, name: &dyn Fn(VariableId) ->
         }
         other => other.to_string(),
     }
-}
-
-fn plural(count: usize, what: &str) -> String {
-    if count == 1 { format!("{count} {what}") } else { format!("{count} {what}s") }
 }

@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use evergraph_factors::{
     Attitude, Bearing2, Bearing3, BearingRange2, BearingRange3, BetweenPoint2, BetweenPoint3,
-    BetweenPose2, BetweenPose3, Depth, DepthDifference, GpsPosition2, GpsPosition3, Heading2,
-    Heading3, HeadingDifference, Linear, PartialBetweenPose2, PartialBetweenPose3, PlanarMotion,
-    Prior, Range, RelativePosition2, RelativePosition3, RollPitch, RootShift,
+    BetweenPose2, BetweenPose3, Conditioned, Depth, DepthDifference, GpsPosition2, GpsPosition3,
+    Heading2, Heading3, HeadingDifference, Linear, PartialBetweenPose2, PartialBetweenPose3,
+    PlanarMotion, Prior, Range, RelativePosition2, RelativePosition3, RollPitch, RootShift,
     TranslationDifference2, TranslationDifference3,
 };
 use evergraph_formats::{Dialect, Document, FormatError, Line, ReadOptions, Record};
@@ -317,6 +317,22 @@ fn what_files_cannot_hold_is_named() {
     let error = Document::from_graph("g", &graph, &values).unwrap_err();
     assert!(matches!(&error, FormatError::NoLineForFactor { ids, .. } if ids == &[0]), "{error}");
     assert!(error.to_string().contains("Heading2"), "{error}");
+
+    // No line has given values, though one has the whole factor.
+    let conditioned = |key: Key<Pose2>| {
+        let mut change = Graph::new().change();
+        let other = change.add_variable(&pose);
+        let noise = Noise::isotropic(3, 1.0).unwrap();
+        let whole = BetweenPose2::new(key, other, pose, noise).unwrap();
+        let given = [(other.id(), Value::new(&pose))];
+        Arc::new(Conditioned::new(Arc::new(whole), &given).unwrap()) as Arc<dyn Factor>
+    };
+    let (graph, values) = of_one(&pose, conditioned);
+    let error = Document::from_graph("g", &graph, &values).unwrap_err();
+    assert!(
+        matches!(&error, FormatError::NoLineForFactor { factor, .. } if factor == "Conditioned<Between<Pose2>>"),
+        "{error}"
+    );
 
     let once = |key| Arc::new(Heading2::new(key, 0.1, noise()).unwrap()) as Arc<dyn Factor>;
     let (graph, values) = of_one(&pose, once);

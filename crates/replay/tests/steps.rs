@@ -3,9 +3,9 @@
 
 use std::collections::HashMap;
 
-use evergraph_formats::{Dialect, Document, FormatError, ReadOptions};
+use evergraph_formats::{Dialect, Document, ReadOptions};
 use evergraph_model::{Graph, Kernel, Pose2, Value};
-use evergraph_replay::{Initial, Replay, ReplayOptions};
+use evergraph_replay::{Initial, Replay, ReplayOptions, ReplayerError};
 
 fn parse(text: &str) -> Document {
     Document::parse("text", text.as_bytes(), &ReadOptions::default()).unwrap()
@@ -30,7 +30,7 @@ fn the_gauge_is_held_once_for_each_component_or_where_fix_says() {
         let options = default.with_prior(Some(sigma));
         assert!(matches!(
             Replay::new(&parse(edges), &options),
-            Err(FormatError::BadSetting { .. })
+            Err(ReplayerError::BadSetting { .. })
         ));
     }
 }
@@ -105,7 +105,7 @@ fn start_values_follow_the_estimate_in_either_direction() {
     let mut change = Graph::new().change();
     replay.next_step(&mut change, &mut |_| None).unwrap().unwrap();
     let error = replay.next_step(&mut change, &mut |_| None).unwrap().unwrap_err();
-    assert!(matches!(error, FormatError::NoEstimate { id: 1, .. }), "{error}");
+    assert!(matches!(error, ReplayerError::NoEstimate { id: 1, .. }), "{error}");
     assert!(replay.next_step(&mut change, &mut |_| None).is_none());
 }
 

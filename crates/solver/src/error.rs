@@ -66,18 +66,16 @@ pub enum SmootherError {
     },
 }
 
-/// Which directions the factors leave free.
-#[derive(Clone, Debug, PartialEq, Error)]
+/// The directions that the factors leave free.
+#[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Singular {
     /// Some variables lack constraints of their own.
-    #[error("the problem is underdetermined: {}. Add measurements or priors that determine {}, or add the variable{} together with them", free_list(variables), if variables.len() == 1 { "it" } else { "them" }, if variables.len() == 1 { "" } else { "s" })]
     Variables {
         /// The variables and their free directions.
         variables: Vec<FreeVariable>,
     },
     /// All variables of a connected component can move together.
-    #[error("the connected component of {} ({count} variable{}) can move as a whole in {free} direction{}: no measurement fixes its position, or only measurements far too weak relative to the rest. Put a prior, GPS or another absolute measurement on one of its variables, or fix one", list(examples), if *count == 1 { "" } else { "s" }, if *free == 1 { "" } else { "s" })]
     Component {
         /// A few of its variables.
         examples: Vec<VariableId>,
@@ -87,6 +85,56 @@ pub enum Singular {
         free: usize,
     },
 }
+
+impl Singular {
+    /// The free directions in words, without advice; `name` gives the name of a variable, for example its
+    /// id in a file. At most five variables are listed.
+    pub fn describe(&self, name: impl Fn(VariableId) -> String) -> String {
+        match self {
+            Self::Variables { variables } => {
+                let shown = variables.iter().take(Self::SHOWN);
+                let mut list: Vec<String> = shown.map(|free| free.describe(&name)).collect();
+                if variables.len() > Self::SHOWN {
+                    list.push(format!("and {} more", variables.len() - Self::SHOWN));
+                }
+                format!("the problem is underdetermined: {}", list.join("; "))
+            }
+            Self::Component { examples, count, free } => {
+                let names: Vec<String> = examples.iter().map(|variable| name(*variable)).collect();
+                format!(
+                    "the connected component of {} ({}) can move as a whole in {}",
+                    names.join(", "),
+                    plural(*count, "variable"),
+                    plural(*free, "direction")
+                )
+            }
+        }
+    }
+
+    /// Variables that a message lists.
+    const SHOWN: usize = 5;
+}
+
+impl fmt::Display for Singular {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.describe(|variable| variable.to_string()))?;
+        match self {
+            Self::Variables { variables } => {
+                let (them, s) = if variables.len() == 1 { ("it", "") } else { ("them", "s") };
+                write!(
+                    f,
+                    ". Add measurements or priors that determine {them}, or add the variable{s} together with them"
+                )
+            }
+            Self::Component { .. } => f.write_str(
+                ": no measurement fixes its position, or only measurements far too weak relative to the rest. \
+                 Put a prior, GPS or another absolute measurement on one of its variables, or fix one",
+            ),
+        }
+    }
+}
+
+impl std::error::Error for Singular {}
 
 /// A variable with free directions.
 #[derive(Clone, Debug, PartialEq)]
@@ -102,10 +150,17 @@ pub struct FreeVariable {
     pub components: Vec<String>,
 }
 
+impl FreeVariable {
+    fn describe(&self, name: &impl Fn(VariableId) -> String) -> String {
+        let Self { variable, dim, free, components } = self;
+        let (name, components) = (name(*variable), components.join(", "));
+        format!("{name}: {free} of {dim} directions unconstrained: {components}")
+    }
+}
+
 impl fmt::Display for FreeVariable {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { variable, dim, free, components } = self;
-        write!(f, "{variable}: {free} of {dim} directions unconstrained: {}", components.join(", "))
+        f.write_str(&self.describe(&|variable: VariableId| variable.to_string()))
     }
 }
 
@@ -113,12 +168,47 @@ fn list(variables: &[VariableId]) -> String {
     variables.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }
 
-fn free_list(variables: &[FreeVariable]) -> String {
-    const SHOWN: usize = 5;
-    let mut text =
-        variables.iter().take(SHOWN).map(ToString::to_string).collect::<Vec<_>>().join("; ");
-    if variables.len() > SHOWN {
-        text += &format!("; and {} more variables", variables.len() - SHOWN);
+fn plural(count: usize, what: &str) -> String {
+    if count == 1 { format!("{count} {what}") } else { format!("{count} {what}s") }
+}
+
+#[cfg(test)]
+mod tests {
+    use evergraph_model::{Graph, Point2};
+
+    use super::*;
+
+    #[test]
+    fn singular_systems_are_told_in_names_of_the_callers_choice() {
+        let mut change = Graph::new().change();
+        let ids: Vec<VariableId> =
+            (0..7).map(|_| change.add_variable(&Point2::new(0.0, 0.0)).id()).collect();
+        let place = |id: VariableId| ids.iter().position(|known| *known == id).unwrap();
+        let name = |id: VariableId| format!("P{}", place(id));
+        let free = |count: usize| Singular::Variables {
+            variables: ids[..count]
+                .iter()
+                .map(|id| FreeVariable {
+                    variable: *id,
+                    dim: 2,
+                    free: 1,
+                    components: vec!["x".into()],
+                })
+                .collect(),
+        };
+        let one = "the problem is underdetermined: P0: 1 of 2 directions unconstrained: x";
+        assert_eq!(free(1).describe(name), one);
+        let advice = ". Add measurements or priors that determine it, or add the variable together with them";
+        assert_eq!(free(1).to_string(), format!("{}{advice}", one.replace('P', "x")));
+        let many = free(7).describe(name);
+        assert!(many.ends_with("; P4: 1 of 2 directions unconstrained: x; and 2 more"), "{many}");
+
+        let component = Singular::Component { examples: ids[..2].to_vec(), count: 2, free: 1 };
+        let told = component.describe(name);
+        let expected =
+            "the connected component of P0, P1 (2 variables) can move as a whole in 1 direction";
+        assert_eq!(told, expected);
+        let own = expected.replace('P', "x");
+        assert!(component.to_string().starts_with(&format!("{own}: no measurement fixes")));
     }
-    text
 }

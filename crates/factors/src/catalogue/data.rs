@@ -26,6 +26,21 @@ pub struct FactorData {
     pub noise: Option<NoiseData>,
     /// The robust kernel around the factor.
     pub kernel: Option<Kernel>,
+    /// The given values of a [`Conditioned`](crate::Conditioned) factor, by ascending position. All else is then of the
+    /// whole factor, but for `ends`, which are the variables that are left.
+    #[serde(default)]
+    pub given: Vec<GivenData>,
+}
+
+/// A value in the place of a variable of a factor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GivenData {
+    /// The place of the variable among those of the whole factor, from 0.
+    pub position: u32,
+    /// The variable of the whole factor; it may be part of no graph any more.
+    pub variable: VariableId,
+    /// The value.
+    pub value: ValueData,
 }
 
 /// A value of a variable as plain data.

@@ -141,6 +141,25 @@ pub enum DataError {
     /// A value of a type that the catalogue does not have, or that is not valid.
     #[error(transparent)]
     Value(Box<CatalogueError>),
+    /// Given values in places that do not fit the factor's variables.
+    #[error(
+        "its {given} given values and {ends} ends do not fit together: positions have to ascend, and each be one of a variable that takes the value"
+    )]
+    Given {
+        /// The number of given values.
+        given: usize,
+        /// The number of ends.
+        ends: usize,
+    },
+    /// A kernel around a factor that has one already.
+    #[error("it stands under two robust kernels, and data hold one")]
+    Kernels,
+    /// A panic in the code of a type.
+    #[error("its code panicked: {message}; correct how the type is stored and loaded")]
+    Panicked {
+        /// Message of the panic.
+        message: String,
+    },
     /// The reason of a type from outside this crate.
     #[error("{0}")]
     Other(Box<dyn StdError + Send + Sync>),

@@ -13,12 +13,18 @@
 //! - the generic factors of the library can be registered for types of your own as they are, for
 //!   example `Prior<MyVariable>`.
 //!
+//! A [`Conditioned`](crate::Conditioned) factor is stored as the factor that it conditions, together with the
+//! [given values](FactorData::given). A kernel around it is stored as one around the whole factor, which has the
+//! same residual, Jacobian and error.
+//!
 //! A text form keeps the bits only if numbers are read exactly: serde_json does with its feature
 //! `float_roundtrip`.
 //!
 //! Data are not trusted: wrong lengths, numbers that are not finite, rotations and directions that
-//! are none, unknown names, and all that a constructor refuses are typed errors.
+//! are none, unknown names, and all that a constructor refuses are typed errors. So is a panic in the code that
+//! stores or loads a type of your own.
 
+mod conditioned;
 mod data;
 mod error;
 mod quantity;
@@ -27,7 +33,7 @@ mod standard;
 mod stored;
 mod variables;
 
-pub use data::{FactorData, NoiseData, ValueData};
+pub use data::{FactorData, GivenData, NoiseData, ValueData};
 pub use error::{CatalogueError, DataError};
 pub use quantity::{Description, Part, Quantity};
 pub use registry::Catalogue;

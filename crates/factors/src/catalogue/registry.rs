@@ -5,12 +5,14 @@ use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 use std::sync::Arc;
 
-use evergraph_model::{Factor, Kernel, KernelError, Robust, Value};
+use evergraph_model::{Factor, Kernel, KernelError, Robust, Value, user_code};
 
+use super::conditioned;
 use super::data::{FactorData, ValueData};
 use super::error::{CatalogueError, DataError};
 use super::stored::{FactorReader, FactorWriter, StoredFactor};
 use super::variables::{StoredVariable, VariableTypes};
+use crate::conditioned::Conditioned;
 
 /// The factor types and variable types that can be plain data, by their stable names.
 ///
@@ -111,8 +113,19 @@ impl Catalogue {
     ///
     /// # Errors
     /// [`CatalogueError::UnknownFactor`] for a type that is not registered;
-    /// [`CatalogueError::InvalidFactor`] when it holds values of a type that is not.
+    /// [`CatalogueError::InvalidFactor`] when it holds values of a type that is not, and for a panic in its code.
     pub fn to_data(&self, factor: &dyn Factor) -> Result<FactorData, CatalogueError> {
+        user_code::call(|| self.stored(factor)).unwrap_or_else(|message| {
+            Err(invalid(&user_code::name_of(factor), DataError::Panicked { message }))
+        })
+    }
+
+    fn stored(&self, factor: &dyn Factor) -> Result<FactorData, CatalogueError> {
+        if let Some((conditioned, kernel)) = factor.downcast::<Conditioned>() {
+            let whole = self.stored(&**conditioned.whole())?;
+            let data = conditioned::store(&self.variables, conditioned, kernel, whole);
+            return data.map_err(|source| invalid(&factor.name(), source));
+        }
         let unknown = || self.unknown(factor.name());
         let name = self.names.get(&factor.as_any().type_id()).ok_or_else(unknown)?;
         let data = (self.factors[name].store)(&self.variables, name, factor);
@@ -123,10 +136,20 @@ impl Catalogue {
     ///
     /// # Errors
     /// [`CatalogueError::UnknownFactor`]; [`CatalogueError::InvalidFactor`] for everything that the
-    /// factor's constructor refuses, and for numbers or ends too many or too few.
+    /// factor's constructor refuses, for numbers or ends too many or too few, and for a panic in its code.
     pub fn to_factor(&self, data: &FactorData) -> Result<Arc<dyn Factor>, CatalogueError> {
         let entry = self.factors.get(&data.name).ok_or_else(|| self.unknown(data.name.clone()))?;
-        (entry.restore)(&self.variables, data).map_err(|source| invalid(&data.name, source))
+        let plain = |data: &FactorData| (entry.restore)(&self.variables, data);
+        let restored = user_code::call(|| {
+            if data.given.is_empty() {
+                plain(data)
+            } else {
+                conditioned::restore(&self.variables, data, plain)
+            }
+        });
+        restored
+            .unwrap_or_else(|message| Err(DataError::Panicked { message }))
+            .map_err(|source| invalid(&data.name, source))
     }
 
     /// A value as plain data.

@@ -51,6 +51,7 @@ impl<'a> FactorWriter<'a> {
             values: Vec::new(),
             noise: None,
             kernel: None,
+            given: Vec::new(),
         };
         Self { data, types }
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use evergraph_model::{
-    Manifold, Point2, Point3, Pose2, Pose3, Rot2, Rot3, Value, VariableType, VectorN,
+    Manifold, Point2, Point3, Pose2, Pose3, Rot2, Rot3, Value, VariableType, VectorN, user_code,
 };
 
 use super::data::ValueData;
@@ -158,7 +158,8 @@ impl VariableTypes {
 
     pub fn to_value(&self, data: &ValueData) -> Result<Value, CatalogueError> {
         let entry = self.types.get(data.kind.as_str()).ok_or_else(|| self.unknown(&data.kind))?;
-        (entry.load)(&data.numbers)
+        user_code::call(|| (entry.load)(&data.numbers))
+            .unwrap_or_else(|message| Err(DataError::Panicked { message }))
             .map_err(|source| CatalogueError::InvalidValue { name: data.kind.clone(), source })
     }
 }

@@ -13,7 +13,7 @@ pub use self::place::{Field, Place};
 use crate::names::spell_id;
 use crate::options::Dialect;
 
-/// Why a file could not be read, written or replayed.
+/// The reason for which a file cannot be read or written.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum FormatError {
@@ -387,12 +387,6 @@ pub enum FormatError {
         /// What is wrong.
         problem: String,
     },
-    /// No poses, so nothing to replay.
-    #[error("{file}: holds no pose, so there is nothing to replay")]
-    NoPose {
-        /// The file.
-        file: Arc<str>,
-    },
     /// A TORO file is known by its vertices, and the document has none.
     #[error(
         "{file}: has no vertices, by which a TORO file is known; compose them from its edges first"
@@ -401,16 +395,6 @@ pub enum FormatError {
         /// The file.
         file: Arc<str>,
     },
-    /// A setting has no meaning.
-    #[error("the {setting} is {value}, but has to be {demand}")]
-    BadSetting {
-        /// The setting.
-        setting: &'static str,
-        /// Its value.
-        value: f64,
-        /// What it should be.
-        demand: &'static str,
-    },
     /// A factor could not be made from a line.
     #[error("{place}: the measurement cannot be used: {problem}")]
     BadMeasurement {
@@ -418,28 +402,6 @@ pub enum FormatError {
         place: Place,
         /// Why.
         problem: String,
-    },
-    /// The caller has no estimate of a variable that the next one starts from.
-    #[error(
-        "{place}: {id} starts from variable {variable}, of which there is no estimate; apply each step's change before the next step is asked for", id = spell_id(*id)
-    )]
-    NoEstimate {
-        /// Where.
-        place: Place,
-        /// The id that was to be added.
-        id: u64,
-        /// The variable that it starts from.
-        variable: VariableId,
-    },
-    /// A start value grows beyond all numbers.
-    #[error(
-        "{place}: the start value of {id} is not finite; the measurements that lead to it are too large", id = spell_id(*id)
-    )]
-    StartNotFinite {
-        /// Where.
-        place: Place,
-        /// The id.
-        id: u64,
     },
 }
 
@@ -475,9 +437,7 @@ impl FormatError {
             | Self::NotPositive { place, .. }
             | Self::ZeroQuaternion { place, .. }
             | Self::Unsupported { place, .. }
-            | Self::BadMeasurement { place, .. }
-            | Self::NoEstimate { place, .. }
-            | Self::StartNotFinite { place, .. } => Some(place),
+            | Self::BadMeasurement { place, .. } => Some(place),
             _ => None,
         }
     }

@@ -22,6 +22,10 @@ impl Exporter {
             return Some(line);
         }
         let data = catalogue().to_data(factor).ok()?;
+        // No line has given values.
+        if !data.given.is_empty() {
+            return None;
+        }
         let of = Description::named(&data.name)?;
         let noise = data.noise.as_ref()?.to_noise().ok()?;
         let record = match of.quantity {

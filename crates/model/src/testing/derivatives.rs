@@ -3,9 +3,10 @@
 use thiserror::Error;
 
 use super::central;
-use crate::arguments::{Arguments, Linearization};
+use crate::arguments::Arguments;
+use crate::evaluate::{EvaluationError, LinearizedFactor, linearize_at};
 use crate::factor::Factor;
-use crate::value::Value;
+use crate::value::{Value, ValueRef};
 
 /// Relative deviation from a numerical derivative that counts as truncation and rounding.
 const DERIVATIVE: f64 = 1e-6;
@@ -31,18 +32,9 @@ pub struct JacobianCheck {
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum JacobianError {
-    /// The values do not fit the factor.
-    #[error(
-        "{factor} does not take {kind} as its variable number {position}, or has another number of variables"
-    )]
-    NotAccepted {
-        /// The factor's name.
-        factor: String,
-        /// Place among its keys, from 0.
-        position: usize,
-        /// Type of the value given.
-        kind: String,
-    },
+    /// Values that do not fit the factor, or a panic in its code.
+    #[error(transparent)]
+    Evaluation(#[from] EvaluationError),
     /// `linearize` and `residual` disagree about the residual.
     #[error("{factor}: row {row} of the residual is {residual} but linearize wrote {linearized}")]
     Residual {
@@ -109,11 +101,12 @@ pub fn check_jacobian(
     factor: &dyn Factor,
     values: &[Value],
 ) -> Result<JacobianCheck, JacobianError> {
-    let linearized = Linearized::new(factor, values)?;
-    let rows = linearized.rows;
+    let linearized = linearized(factor, values)?;
+    let rows = linearized.rows();
+    // Unlike the residual of the linearization, it shows rows that the factor does not write.
     let mut residual = vec![f64::NAN; rows];
     evaluate(factor, values, &mut residual);
-    for (row, (&residual, &other)) in residual.iter().zip(linearized.residual()).enumerate() {
+    for (row, (&residual, &other)) in residual.iter().zip(&linearized.residual()).enumerate() {
         if residual.is_nan() || (residual - other).abs() > 1e-12 * (1.0 + residual.abs()) {
             return Err(JacobianError::Residual {
                 factor: factor.name(),
@@ -124,7 +117,10 @@ pub fn check_jacobian(
         }
     }
     let row_sizes: Vec<f64> = (0..rows)
-        .map(|row| linearized.row(row).fold(0.0, |m: f64, entry| m.max(entry.abs())))
+        .map(|row| {
+            let blocks = (0..values.len()).map(|position| linearized.jacobian(position));
+            blocks.map(|block| block.row(row).amax()).fold(0.0, f64::max)
+        })
         .collect();
     let mut check = JacobianCheck { entries: 0, largest_deviation: 0.0 };
     for (position, value) in values.iter().enumerate() {
@@ -135,7 +131,7 @@ pub fn check_jacobian(
                 let numeric =
                     central(step, |step| perturbed(factor, values, position, column, step));
                 for row in 0..rows {
-                    let analytic = linearized.entry(position, row, column);
+                    let analytic = linearized.jacobian(position)[(row, column)];
                     let scale =
                         analytic.abs().max(numeric[row].abs()).max(ROW_FLOOR * row_sizes[row]);
                     let deviation =
@@ -158,7 +154,7 @@ pub fn check_jacobian(
                         row,
                         column,
                         component: value.kind().component(column),
-                        analytic: linearized.entry(position, row, column),
+                        analytic: linearized.jacobian(position)[(row, column)],
                         numeric,
                     });
                 }
@@ -187,11 +183,11 @@ pub fn assert_jacobian(factor: &dyn Factor, values: &[Value]) {
 /// # Errors
 /// The first component that deviates by more than 1e-6 of the largest.
 pub fn check_gradient(factor: &dyn Factor, values: &[Value]) -> Result<(), JacobianError> {
-    let linearized = Linearized::new(factor, values)?;
+    let linearized = linearized(factor, values)?;
     let gradient = |position: usize, column: usize| -> f64 {
         let residual = linearized.residual();
-        (0..linearized.rows)
-            .map(|row| linearized.entry(position, row, column) * residual[row])
+        (0..linearized.rows())
+            .map(|row| linearized.jacobian(position)[(row, column)] * residual[row])
             .sum()
     };
     let all = values.iter().enumerate().flat_map(|(p, v)| (0..v.dim()).map(move |c| (p, c)));
@@ -221,51 +217,9 @@ pub fn check_gradient(factor: &dyn Factor, values: &[Value]) -> Result<(), Jacob
     Ok(())
 }
 
-/// `[J₁ … Jₖ | r]` of a factor.
-struct Linearized {
-    rows: usize,
-    columns: Vec<u32>,
-    data: Vec<f64>,
-}
-
-impl Linearized {
-    fn new(factor: &dyn Factor, values: &[Value]) -> Result<Self, JacobianError> {
-        for position in 0..values.len().max(factor.keys().len()) {
-            let value = values.get(position).filter(|_| position < factor.keys().len());
-            if !value.is_some_and(|v| factor.accepts(position, v.kind(), v.dim())) {
-                let kind =
-                    values.get(position).map_or("nothing".into(), |v| v.kind().name().into());
-                return Err(JacobianError::NotAccepted { factor: factor.name(), position, kind });
-            }
-        }
-        let mut columns = vec![0];
-        columns.extend(values.iter().scan(0, |end, value| {
-            *end += value.dim() as u32;
-            Some(*end)
-        }));
-        let rows = factor.residual_dim();
-        let width = columns[values.len()] as usize + 1;
-        let mut data = vec![0.0; rows * width];
-        let storages: Vec<&[f64]> = values.iter().map(Value::storage).collect();
-        factor.linearize(
-            &Arguments::new(&storages),
-            &mut Linearization::new(rows, &columns, &mut data),
-        );
-        Ok(Self { rows, columns, data })
-    }
-
-    fn entry(&self, position: usize, row: usize, column: usize) -> f64 {
-        self.data[(self.columns[position] as usize + column) * self.rows + row]
-    }
-
-    fn row(&self, row: usize) -> impl Iterator<Item = f64> {
-        let width = self.data.len() / self.rows - 1;
-        (0..width).map(move |column| self.data[column * self.rows + row])
-    }
-
-    fn residual(&self) -> &[f64] {
-        &self.data[self.data.len() - self.rows..]
-    }
+fn linearized(factor: &dyn Factor, values: &[Value]) -> Result<LinearizedFactor, EvaluationError> {
+    let values: Vec<ValueRef<'_>> = values.iter().map(Value::as_ref).collect();
+    linearize_at(factor, &values)
 }
 
 fn evaluate(factor: &dyn Factor, values: &[Value], out: &mut [f64]) {
