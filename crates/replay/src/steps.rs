@@ -91,7 +91,7 @@ impl Replay {
     }
 
     /// Fills an empty `change` with all steps that are left: for a fresh replay the whole file, as
-    /// one step. Start values are the file's vertices or composed, as [`Initial`] says, in the
+    /// one step. Start values are the file's vertices or composed, as [`Initial`](crate::Initial) says, in the
     /// order of the steps.
     ///
     /// # Errors
