@@ -15,18 +15,15 @@ use evergraph_benches::{city, complete_graph, replayed, sphere};
 
 type Group<'a> = BenchmarkGroup<'a, WallTime>;
 
-const NO_RELINEARIZATION: Settings = Settings {
-    elimination: Elimination::Cholesky,
-    relinearization: Relinearization::NEVER,
-    back_substitution_tolerance: 1e-3,
-    threads: 1,
-};
+fn no_relinearization() -> Settings {
+    Settings::default().with_relinearization(Relinearization::NEVER)
+}
 
 /// A pose that continues the trajectory, in maps of different sizes: the time must not grow.
 fn exploration(c: &mut Criterion) {
     let mut group = c.benchmark_group("exploration step");
     for poses in [100, 1000, 5000] {
-        let base = replayed(&city(poses), NO_RELINEARIZATION, poses as usize).into_smoother();
+        let base = replayed(&city(poses), no_relinearization(), poses as usize).into_smoother();
         let newest = newest_pose(&base);
         let noise = Noise::isotropic(3, 0.1).expect("a positive sigma");
         group.bench_function(format!("city of {poses} poses"), |b| {
@@ -60,7 +57,7 @@ fn loop_closure(c: &mut Criterion) {
     let mut group = c.benchmark_group("loop closure");
     group.sample_size(20);
     for poses in [1000, 5000] {
-        let base = replayed(&city(poses), NO_RELINEARIZATION, poses as usize).into_smoother();
+        let base = replayed(&city(poses), no_relinearization(), poses as usize).into_smoother();
         let newest = newest_pose(&base);
         let first: Key<Pose2> = base
             .graph()
@@ -125,7 +122,7 @@ fn batch_iterations(c: &mut Criterion) {
 
 /// The time of so many iterations from `base`, and of the elimination before them.
 fn iterations_of(base: &Smoother, iterations: u32) -> Duration {
-    let settings = BatchSettings { max_iterations: iterations, ..BatchSettings::default() };
+    let settings = BatchSettings::default().with_max_iterations(iterations);
     let mut smoother = base.clone();
     let start = Instant::now();
     smoother.optimize(&settings).expect("the map is well determined");
@@ -140,7 +137,7 @@ fn ordering(c: &mut Criterion) {
         group.bench_function(name, |b| {
             b.iter_custom(|times| {
                 let order = |_| {
-                    let mut replayer = replayed(&document, NO_RELINEARIZATION, 0);
+                    let mut replayer = replayed(&document, no_relinearization(), 0);
                     replayer.smoother_mut().set_profiling(true);
                     replayer.everything().expect("the map is well determined");
                     replayer.smoother().profile().time(Phase::Order)
@@ -208,7 +205,7 @@ fn parsing(c: &mut Criterion) {
         for dialect in [Dialect::G2o, Dialect::Toro, Dialect::Isam, Dialect::Pyfg] {
             let mut text = Vec::new();
             document.write(&mut text, dialect).expect("every format holds poses");
-            let options = ReadOptions { format: Some(dialect), ..ReadOptions::default() };
+            let options = ReadOptions::default().with_format(Some(dialect));
             group.throughput(Throughput::Bytes(text.len() as u64));
             group.bench_function(format!("{name}, {dialect}"), |b| {
                 b.iter(|| {

@@ -47,7 +47,7 @@ where
     P: LieGroup<N> + LocalJacobian,
 {
     let noise = Noise::isotropic(N, 1.0).expect("a positive sigma");
-    let settings = Settings { relinearization: Relinearization::NEVER, ..Settings::default() };
+    let settings = Settings::default().with_relinearization(Relinearization::NEVER);
     let mut smoother = Smoother::new(settings).expect("valid settings");
     let mut change = smoother.change();
     let keys: Vec<Key<P>> = (0..poses).map(|_| change.add_variable(&P::identity())).collect();

@@ -63,7 +63,7 @@ fn read(file: &str) -> Result<Document, Failure> {
 
 /// One thread each; the variants run side by side.
 fn settings() -> Settings {
-    Settings { threads: 1, ..Settings::default() }
+    Settings::default().with_threads(1)
 }
 
 fn replayer(document: &Document) -> Result<Replayer, ReplayerError> {

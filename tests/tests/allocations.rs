@@ -79,9 +79,9 @@ fn complaint(name: &str, counts: &[usize]) -> Option<String> {
 /// One test, because the counters are those of the process.
 #[test]
 fn a_steady_state_allocates_nothing() {
-    let never = Settings { relinearization: Relinearization::NEVER, ..Settings::default() };
+    let never = Settings::default().with_relinearization(Relinearization::NEVER);
     let default = Settings::default();
-    let qr = Settings { elimination: Elimination::Qr, ..never };
+    let qr = never.with_elimination(Elimination::Qr);
     let flat = Pose2::new(1.0, 0.0, 0.01);
     let turn = Rot3::exp(&[0.002, 0.001, 0.01].into());
     let space = Pose3::new(turn, Point3::new(1.0, 0.0, 0.02));

@@ -10,8 +10,9 @@ use evergraph_tests::{References, data_dir, data_file, read};
 
 /// The whole graph at its odometry, in one change.
 fn loaded(document: &Document, elimination: Elimination) -> Replayer {
-    let settings =
-        Settings { relinearization: Relinearization::NEVER, elimination, ..Settings::default() };
+    let settings = Settings::default()
+        .with_relinearization(Relinearization::NEVER)
+        .with_elimination(elimination);
     let mut replayer = Replayer::new(document, &ReplayOptions::default(), settings).unwrap();
     replayer.everything().unwrap();
     replayer
@@ -28,7 +29,7 @@ fn every_method_finds_the_optimum() {
         for method in [Method::GaussNewton, Method::LevenbergMarquardt, Method::Dogleg] {
             for elimination in [Elimination::Cholesky, Elimination::Qr] {
                 let mut replayer = loaded(&document, elimination);
-                let settings = BatchSettings { method, ..BatchSettings::default() };
+                let settings = BatchSettings::default().with_method(method);
                 let report = replayer.smoother_mut().optimize(&settings).unwrap();
                 assert!(report.error <= report.initial_error, "{file}, {method:?}: {report:?}");
                 assert!(
@@ -48,6 +49,7 @@ fn every_method_finds_the_optimum() {
                             "{file}"
                         );
                     }
+                    other => panic!("{file}, {method:?}: ended as {other:?}"),
                 }
             }
         }
@@ -58,7 +60,7 @@ fn every_method_finds_the_optimum() {
 fn the_iteration_limit_is_reported() {
     let Some(data) = data_dir("the_iteration_limit_is_reported") else { return };
     let mut replayer = loaded(&read(&data.join("pose2d/intel.g2o")), Elimination::Cholesky);
-    let settings = BatchSettings { max_iterations: 1, ..BatchSettings::default() };
+    let settings = BatchSettings::default().with_max_iterations(1);
     let report = replayer.smoother_mut().optimize(&settings).unwrap();
     assert_eq!(report.status, Status::NotConverged(Reason::IterationLimit));
     assert_eq!(report.iterations, 1);
@@ -91,8 +93,7 @@ fn measurements_that_agree_exactly_converge() {
             pose = next;
         }
         smoother.apply(change).unwrap();
-        let report =
-            smoother.optimize(&BatchSettings { method, ..BatchSettings::default() }).unwrap();
+        let report = smoother.optimize(&BatchSettings::default().with_method(method)).unwrap();
         assert_eq!(report.status, Status::Converged, "{method:?}: {report:?}");
         assert!(report.iterations < 20 && report.error < 1e-9, "{method:?}: {report:?}");
     }
@@ -125,7 +126,10 @@ fn where_full_steps_overshoot_rounding_ends_it() {
             let still = Noise::isotropic(2, 1e3).unwrap();
             change.add_factor(Prior::new(x, VectorN::new([0.0, 0.0]), still).unwrap());
             smoother.apply(change).unwrap();
-            let settings = BatchSettings { method, relative_decrease: 0.0, max_iterations: 300 };
+            let settings = BatchSettings::default()
+                .with_method(method)
+                .with_relative_decrease(0.0)
+                .with_max_iterations(300);
             let report = smoother.optimize(&settings).unwrap();
             assert_eq!(report.status, Status::Converged, "{bend} {method:?} {report:?}");
             let x = smoother.estimate(x).unwrap();
@@ -139,8 +143,8 @@ fn where_full_steps_overshoot_rounding_ends_it() {
 fn false_loop_closures_are_brought_to_the_end() {
     let test = "false_loop_closures_are_brought_to_the_end";
     let Some(path) = data_file(test, "pose2d/Bovisa04_odometry_bow_tr.g2o") else { return };
-    let options = ReplayOptions { initial: Initial::FromFile, ..ReplayOptions::default() };
-    let settings = Settings { relinearization: Relinearization::NEVER, ..Settings::default() };
+    let options = ReplayOptions::default().with_initial(Initial::FromFile);
+    let settings = Settings::default().with_relinearization(Relinearization::NEVER);
     let mut replayer = Replayer::new(&read(&path), &options, settings).unwrap();
     replayer.everything().unwrap();
     let smoother = replayer.smoother_mut();

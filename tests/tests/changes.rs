@@ -47,17 +47,12 @@ struct World {
 impl World {
     fn new(elimination: Elimination) -> Self {
         let every = |n| NonZeroU32::new(n).unwrap();
-        let settings = Settings {
-            elimination,
-            relinearization: Relinearization {
-                fluid: Some(Fluid { threshold: 0.01, share: 1.0, every: every(3) }),
-                sweep: None,
-                spread: every(4),
-                batch: Some(every(17)),
-                background: None,
-            },
-            ..Settings::default()
-        };
+        let settings = Settings::default().with_elimination(elimination).with_relinearization(
+            Relinearization::NEVER
+                .with_fluid(Some(Fluid::new(0.01, 1.0, every(3))))
+                .with_spread(every(4))
+                .with_batch(Some(every(17))),
+        );
         let mut smoother = Smoother::new(settings).unwrap();
         let mut change = smoother.change();
         let start = change.add_variable(&Pose2::identity());

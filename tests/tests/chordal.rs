@@ -19,7 +19,7 @@ const OTHERS: [(&str, f64); 2] =
 fn optimization_from_it_reaches_the_optimum() {
     let Some(data) = data_dir("optimization_from_it_reaches_the_optimum") else { return };
     let references = References::read(&data);
-    let settings = Settings { relinearization: Relinearization::NEVER, ..Settings::default() };
+    let settings = Settings::default().with_relinearization(Relinearization::NEVER);
     for (path, most_iterations) in [
         ("pose3d/sphere2500.g2o", 6),
         ("pose3d/torus2000Points.txt", 5),
@@ -36,7 +36,7 @@ fn optimization_from_it_reaches_the_optimum() {
         let name = path.rsplit('/').next().unwrap();
         let document = read(&data.join(path));
         let start = document.with_vertices(chordal(&document, &settings).unwrap()).unwrap();
-        let options = ReplayOptions { initial: Initial::FromFile, ..ReplayOptions::default() };
+        let options = ReplayOptions::default().with_initial(Initial::FromFile);
         let mut replayer = Replayer::new(&start, &options, settings).unwrap();
         replayer.everything().unwrap();
         let batch = replayer.smoother_mut().optimize(&BatchSettings::default()).unwrap();

@@ -15,7 +15,8 @@ fn same_bits(test: &str, file: &str) {
     let fingerprints = [1, 2, 4].map(|threads| {
         let mut relinearization = Relinearization::BOTH;
         relinearization.batch = NonZeroU32::new(500);
-        let settings = Settings { threads, relinearization, ..Settings::default() };
+        let settings =
+            Settings::default().with_threads(threads).with_relinearization(relinearization);
         let mut trace = Vec::new();
         let mut replayer = replay(&document, settings, |steps, replayer| {
             if steps % 500 == 0 {
@@ -53,7 +54,7 @@ fn removals() {
     let document = read(&path);
     let fingerprints = [1, 2, 4].map(|threads| {
         let settings =
-            Settings { threads, relinearization: Relinearization::NEVER, ..Settings::default() };
+            Settings::default().with_threads(threads).with_relinearization(Relinearization::NEVER);
         let mut smoother = replay(&document, settings, |_, _| ()).into_smoother();
         let mut trace = Vec::new();
         for (options, share) in [(Options::default(), 3), (Options::dense(), 7)] {

@@ -37,7 +37,9 @@ fn ours(pairs: &PosePairs) -> Vec<f64> {
     }
     for (delta, all) in [(1, false), (10, false), (10, true)] {
         let delta = NonZeroUsize::new(delta).unwrap();
-        let error = RelativeError::of(pairs, RelativePairs { delta, all }).unwrap();
+        let error =
+            RelativeError::of(pairs, RelativePairs::default().with_delta(delta).with_all(all))
+                .unwrap();
         values.extend([error.translation.rmse, error.rotation.rmse]);
     }
     values

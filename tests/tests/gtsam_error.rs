@@ -10,8 +10,8 @@ use evergraph_tests::{data_file, read};
 
 fn check(test: &str, file: &str, gtsam: f64) {
     let Some(path) = data_file(test, file) else { return };
-    let options = ReplayOptions { initial: Initial::FromFile, ..ReplayOptions::default() };
-    let settings = Settings { relinearization: Relinearization::NEVER, ..Settings::default() };
+    let options = ReplayOptions::default().with_initial(Initial::FromFile);
+    let settings = Settings::default().with_relinearization(Relinearization::NEVER);
     let mut replayer = Replayer::new(&read(&path), &options, settings).unwrap();
     replayer.everything().unwrap();
     let error = replayer.objective_at_linearization().unwrap().error;

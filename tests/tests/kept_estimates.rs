@@ -111,7 +111,7 @@ fn a_replay_stays_near_the_exact_estimates() {
 
 #[test]
 fn a_batch_in_the_background_is_taken_over() {
-    let settings = Settings { relinearization: Relinearization::BACKGROUND, ..Settings::default() };
+    let settings = Settings::default().with_relinearization(Relinearization::BACKGROUND);
     let blind = replay(settings, None, 0.0);
     assert_eq!(replay(settings, Some(0.0), 0.0), blind);
 }

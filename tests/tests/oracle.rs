@@ -22,7 +22,7 @@ fn check_replay(test: &str, file: &str, settings: Settings) {
 }
 
 fn settings(elimination: Elimination, relinearization: Relinearization) -> Settings {
-    Settings { elimination, relinearization, ..Settings::default() }
+    Settings::default().with_elimination(elimination).with_relinearization(relinearization)
 }
 
 macro_rules! replays {

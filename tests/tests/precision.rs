@@ -29,8 +29,9 @@ fn graph(
             edges.push((i, j, 0.1));
         }
     }
-    let settings =
-        Settings { elimination, relinearization: Relinearization::NEVER, ..Settings::default() };
+    let settings = Settings::default()
+        .with_elimination(elimination)
+        .with_relinearization(Relinearization::NEVER);
     let smoother = Smoother::new(settings).unwrap();
     let mut change = smoother.change();
     let poses: Vec<Key<Pose2>> = truth.iter().map(|pose| change.add_variable(pose)).collect();

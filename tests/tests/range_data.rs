@@ -29,7 +29,7 @@ fn landmark_errors(document: &Document, replayer: &Replayer) -> Vec<f64> {
 
 /// The error of the optimum next to the truth.
 fn from_truth(document: &Document) -> f64 {
-    let options = ReplayOptions { initial: Initial::FromFile, ..ReplayOptions::default() };
+    let options = ReplayOptions::default().with_initial(Initial::FromFile);
     let mut replayer = Replayer::new(document, &options, Settings::default()).unwrap();
     replayer.everything().unwrap();
     replayer.smoother_mut().optimize(&BatchSettings::default()).unwrap();

@@ -27,7 +27,10 @@ fn every_file_ends_at_its_optimum(test: &str, elimination: Elimination) {
     assert!(references.files().len() >= 24, "references.json has lost files");
     let mut relinearization = Relinearization::BOTH;
     relinearization.batch = NonZeroU32::new(100);
-    let settings = Settings { elimination, relinearization, threads: 2, ..Settings::default() };
+    let settings = Settings::default()
+        .with_elimination(elimination)
+        .with_relinearization(relinearization)
+        .with_threads(2);
     for file in references.files() {
         let document = read(&find(&data, &file));
         let mut replayer = replay(&document, settings, |_, _| ());

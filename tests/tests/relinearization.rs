@@ -14,14 +14,12 @@ fn noise(sigma: f64) -> Noise {
 #[test]
 fn a_fine_sweep_sees_what_a_coarse_check_left() {
     let every = |n| std::num::NonZeroU32::new(n).unwrap();
-    let relinearization = Relinearization {
-        fluid: Some(Fluid { threshold: 0.05, share: 1.0, every: every(1) }),
-        sweep: Some(Fluid { threshold: 1e-6, share: 1.0, every: every(5) }),
-        spread: every(1),
-        batch: None,
-        background: None,
-    };
-    let mut smoother = Smoother::new(Settings { relinearization, ..Settings::default() }).unwrap();
+    let relinearization = Relinearization::NEVER
+        .with_fluid(Some(Fluid::new(0.05, 1.0, every(1))))
+        .with_sweep(Some(Fluid::new(1e-6, 1.0, every(5))))
+        .with_spread(every(1));
+    let mut smoother =
+        Smoother::new(Settings::default().with_relinearization(relinearization)).unwrap();
     let mut change = smoother.change();
     let pose = change.add_variable(&Pose2::identity());
     change.add_factor(Prior::new(pose, Pose2::new(5e-4, 0.0, 0.0), noise(0.1)).unwrap());
@@ -33,7 +31,8 @@ fn a_fine_sweep_sees_what_a_coarse_check_left() {
 
 /// A pose graph whose start is so bad that a check finds all of it.
 fn bent(relinearization: Relinearization, poses: usize) -> (Smoother, Vec<Key<Pose2>>) {
-    let mut smoother = Smoother::new(Settings { relinearization, ..Settings::default() }).unwrap();
+    let mut smoother =
+        Smoother::new(Settings::default().with_relinearization(relinearization)).unwrap();
     let mut change = smoother.change();
     let keys: Vec<_> =
         (0..poses).map(|k| change.add_variable(&Pose2::new(0.5 * k as f64, 0.0, 0.0))).collect();
@@ -49,13 +48,9 @@ fn bent(relinearization: Relinearization, poses: usize) -> (Smoother, Vec<Key<Po
 #[test]
 fn checks_go_on_when_all_that_was_to_move_is_dropped() {
     let every = |n| std::num::NonZeroU32::new(n).unwrap();
-    let relinearization = Relinearization {
-        fluid: Some(Fluid { threshold: 0.01, share: 1.0, every: every(1) }),
-        sweep: None,
-        spread: every(50),
-        batch: None,
-        background: None,
-    };
+    let relinearization = Relinearization::NEVER
+        .with_fluid(Some(Fluid::new(0.01, 1.0, every(1))))
+        .with_spread(every(50));
     let (mut smoother, keys) = bent(relinearization, 400);
     let mut change = smoother.change();
     for key in keys {

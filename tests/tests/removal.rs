@@ -17,9 +17,8 @@ fn optimum(test: &str) -> Option<(Smoother, Vec<VariableId>)> {
     let document = read(&data_file(test, FILE)?);
     let relinearization = Relinearization::BOTH;
     let mut replayer =
-        replay(&document, Settings { relinearization, ..Settings::default() }, |_, _| ());
-    let exact =
-        BatchSettings { relative_decrease: 1e-15, max_iterations: 30, ..BatchSettings::default() };
+        replay(&document, Settings::default().with_relinearization(relinearization), |_, _| ());
+    let exact = BatchSettings::default().with_relative_decrease(1e-15).with_max_iterations(30);
     replayer.smoother_mut().optimize(&exact).unwrap();
     let smoother = replayer.into_smoother();
     // All but the pose that holds the map.

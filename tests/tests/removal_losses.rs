@@ -21,7 +21,7 @@ impl Full {
     fn read(test: &str, file: &str) -> Option<Self> {
         let document = read(&data_file(test, file)?);
         let mut replayer = replay(&document, Settings::default(), |_, _| ());
-        let exact = BatchSettings { relative_decrease: 0.0, ..BatchSettings::default() };
+        let exact = BatchSettings::default().with_relative_decrease(0.0);
         let report = replayer.smoother_mut().optimize(&exact).unwrap();
         assert_eq!(report.status, Status::Converged, "{file}");
         let priors = replayer.replay().gauge_priors();

@@ -363,7 +363,7 @@ fn memory_follows_the_living_in_large_changes_too() {
 fn no_iterations_is_no_step() {
     let (mut smoother, _) = chain();
     for method in [Method::GaussNewton, Method::LevenbergMarquardt, Method::Dogleg] {
-        let settings = BatchSettings { method, max_iterations: 0, ..BatchSettings::default() };
+        let settings = BatchSettings::default().with_method(method).with_max_iterations(0);
         let report = smoother.optimize(&settings).unwrap();
         assert_eq!((report.iterations, report.error), (0, report.initial_error));
     }

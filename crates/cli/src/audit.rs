@@ -143,10 +143,7 @@ fn write_steps(path: &Path, audit: &Audit) -> Result<(), Error> {
     for sample in audit.samples() {
         let AuditSample { step, error, optimum, relative_excess, status, .. } = sample;
         let excess = relative_excess.map_or_else(String::new, |it| it.to_string());
-        let status = match status {
-            BatchStatus::Converged => "converged",
-            BatchStatus::NotConverged(_) => "not_converged",
-        };
+        let status = report::status_name(status);
         text.push_str(&format!("{step},{error},{optimum},{excess},{status}\n"));
     }
     files::write_text(path, &text)

@@ -148,5 +148,5 @@ fn solve(replayer: &mut Replayer) -> Result<BatchReport, Error> {
 /// for removed nodes are not, having the weights of when those went.
 fn as_the_file_says(reduced: &Document, options: ReplayOptions) -> ReplayOptions {
     let kernel = options.kernel.filter(|_| reduced.summary().robust == 0);
-    ReplayOptions { kernel, ..options }
+    options.with_kernel(kernel)
 }

@@ -42,7 +42,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let common = &arguments.common;
     let output = common.output();
     let document = arguments.reading.read(&arguments.input, common)?;
-    let options = WriteOptions { plain: arguments.plain };
+    let options = WriteOptions::default().with_plain(arguments.plain);
     let saved = files::write_document(&arguments.output, &document, options)?;
     tell(&saved, &arguments.output, output);
     let written = &saved.written;

@@ -171,7 +171,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
 /// The relative error; a single pose has none, which is no failure unless a distance was asked for.
 fn relative(pairs: &PosePairs, arguments: &Arguments) -> Result<Option<RelativeError>, Error> {
     let delta = arguments.delta.unwrap_or(NonZeroUsize::MIN);
-    match RelativeError::of(pairs, RelativePairs { delta, all: arguments.all_pairs }) {
+    match RelativeError::of(
+        pairs,
+        RelativePairs::default().with_delta(delta).with_all(arguments.all_pairs),
+    ) {
         Ok(error) => Ok(Some(error)),
         Err(EvaluateError::NoPair { .. }) if arguments.delta.is_none() => Ok(None),
         Err(error) => Err(error.into()),

@@ -93,11 +93,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         MethodName::Lm => Method::LevenbergMarquardt,
         MethodName::Dogleg => Method::Dogleg,
     };
-    let batch_settings = BatchSettings {
-        method,
-        max_iterations: arguments.max_iterations,
-        ..BatchSettings::default()
-    };
+    let batch_settings =
+        BatchSettings::default().with_method(method).with_max_iterations(arguments.max_iterations);
 
     let document = arguments.reading.read(&arguments.file, common)?;
     let outputs =
@@ -155,13 +152,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
             return Err(error);
         }
     };
-    let (status, words) = match batch.status {
-        BatchStatus::Converged => (Status::Converged, "converged".to_string()),
-        BatchStatus::NotConverged(reason) => {
-            (Status::NotConverged, format!("not converged ({})", report::why(reason)))
-        }
+    let words = report::ended(batch.status);
+    run.status = match batch.status {
+        BatchStatus::Converged => Status::Converged,
+        _ => Status::NotConverged,
     };
-    run.status = status;
     run.relinearizations = batch.iterations as usize * replayer.graph().variable_count();
     let mut report = Report::new(&replayer, run)?;
     report.add("iterations", batch.iterations);

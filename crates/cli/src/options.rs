@@ -11,7 +11,7 @@ use evergraph::formats::{
 };
 use evergraph::model::Kernel;
 use evergraph::replay::{Initial, ReplayOptions};
-use evergraph::solver::{Elimination, Fluid, Relinearization, Settings};
+use evergraph::solver::{Elimination, Relinearization, Settings};
 use tracing::info;
 
 use crate::error::Error;
@@ -94,39 +94,19 @@ impl Reading {
     }
 
     pub(crate) fn options(&self, common: &Common) -> ReadOptions {
-        ReadOptions {
-            format: self.format,
-            isam_matrix: self.isam_matrix,
-            g2o_rotation: self.g2o_rotation,
-            lenient: common.lenient,
-        }
+        ReadOptions::default()
+            .with_format(self.format)
+            .with_isam_matrix(self.isam_matrix)
+            .with_g2o_rotation(self.g2o_rotation)
+            .with_lenient(common.lenient)
     }
 
     pub(crate) fn json(&self) -> serde_json::Value {
-        let isam_matrix = match self.isam_matrix {
-            WeightKind::SquareRoot => "sqrt",
-            WeightKind::Information => "information",
-            WeightKind::Covariance => "covariance",
-        };
-        let g2o_rotation = match self.g2o_rotation {
-            G2oRotation::Angle => "angle",
-            G2oRotation::Quaternion => "quaternion",
-        };
         serde_json::json!({
-            "format": self.format.map(dialect),
-            "isam_matrix": isam_matrix,
-            "g2o_rotation": g2o_rotation,
+            "format": self.format.map(Dialect::name),
+            "isam_matrix": self.isam_matrix.name(),
+            "g2o_rotation": self.g2o_rotation.name(),
         })
-    }
-}
-
-/// A dialect as the option spells it.
-fn dialect(dialect: Dialect) -> &'static str {
-    match dialect {
-        Dialect::G2o => "g2o",
-        Dialect::Toro => "toro",
-        Dialect::Isam => "isam",
-        Dialect::Pyfg => "pyfg",
     }
 }
 
@@ -260,7 +240,10 @@ impl Solving {
     }
 
     pub(crate) fn replay_options(&self, start: StartFrom) -> ReplayOptions {
-        ReplayOptions { prior: self.prior.0, initial: start.initial(), kernel: self.kernel() }
+        ReplayOptions::default()
+            .with_prior(self.prior.0)
+            .with_initial(start.initial())
+            .with_kernel(self.kernel())
     }
 
     pub(crate) fn settings(&self, relinearization: Relinearization, threads: usize) -> Settings {
@@ -268,7 +251,10 @@ impl Solving {
             EliminationName::Cholesky => Elimination::Cholesky,
             EliminationName::Qr => Elimination::Qr,
         };
-        Settings { elimination, relinearization, threads, ..Settings::default() }
+        Settings::default()
+            .with_elimination(elimination)
+            .with_relinearization(relinearization)
+            .with_threads(threads)
     }
 
     pub(crate) fn json(
@@ -351,11 +337,9 @@ impl Policy {
         let tuned = self.relinearize_threshold.is_some() || self.fluid_every.is_some();
         match &mut policy.fluid {
             Some(fluid) => {
-                *fluid = Fluid {
-                    threshold: self.relinearize_threshold.unwrap_or(fluid.threshold),
-                    every: self.fluid_every.unwrap_or(fluid.every),
-                    ..*fluid
-                };
+                *fluid = fluid
+                    .with_threshold(self.relinearize_threshold.unwrap_or(fluid.threshold))
+                    .with_every(self.fluid_every.unwrap_or(fluid.every));
                 // The sweep is the finer of the two.
                 if let Some(sweep) = &mut policy.sweep {
                     sweep.threshold = sweep.threshold.min(fluid.share * fluid.threshold);

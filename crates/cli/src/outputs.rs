@@ -97,7 +97,7 @@ impl Outputs {
     }
 
     fn options(&self) -> WriteOptions {
-        WriteOptions { plain: self.plain }
+        WriteOptions::default().with_plain(self.plain)
     }
 }
 

@@ -99,9 +99,10 @@ pub(crate) fn incomparable(replayer: &Replayer, error: DivergenceError) -> Error
 
 /// How an optimization ended, in words.
 pub(crate) fn ended(batch: &BatchReport) -> String {
+    let words = report::ended(batch.status);
     match batch.status {
-        BatchStatus::Converged => format!("converged after {} iterations", batch.iterations),
-        BatchStatus::NotConverged(reason) => format!("not converged ({})", report::why(reason)),
+        BatchStatus::Converged => format!("{words} after {} iterations", batch.iterations),
+        _ => words,
     }
 }
 

@@ -286,12 +286,7 @@ fn in_words(report: &Report, cut: bool, batch: &Option<(BatchReport, Duration)>)
     match (cut, batch) {
         (true, _) => "stopped (--max-steps)".into(),
         (_, Some((batch, took))) => {
-            let how = match batch.status {
-                BatchStatus::Converged => "converged".to_string(),
-                BatchStatus::NotConverged(reason) => {
-                    format!("not converged ({})", report::why(reason))
-                }
-            };
+            let how = report::ended(batch.status);
             format!(
                 "{how} in {} iterations of the final batch, {:.3} s",
                 batch.iterations,

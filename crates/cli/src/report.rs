@@ -4,10 +4,10 @@ use std::path::Path;
 use std::time::Duration;
 
 use evergraph::formats::spell_id;
-use evergraph::solver::Reason;
+use evergraph::solver::{Reason, Status as BatchStatus};
 use evergraph::{Objective, Replayer};
 use serde::Serialize;
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 
 use crate::error::Error;
 use crate::files;
@@ -29,12 +29,33 @@ pub(crate) enum Status {
 }
 
 /// Why an optimization did not converge, and what may help.
-pub(crate) fn why(reason: Reason) -> &'static str {
+pub(crate) fn why(reason: Reason) -> String {
     match reason {
-        Reason::IterationLimit => "the iterations were used up",
-        Reason::ErrorWouldRise => "a Gauss-Newton step would raise the error; try --method lm",
-        Reason::NoDescent => "no step lowers the error any more",
+        Reason::IterationLimit => "the iterations were used up".into(),
+        Reason::ErrorWouldRise => {
+            "a Gauss-Newton step would raise the error; try --method lm".into()
+        }
+        Reason::NoDescent => "no step lowers the error any more".into(),
+        other => serialized_name(&other),
     }
+}
+
+/// A batch optimization's end in words.
+pub(crate) fn ended(status: BatchStatus) -> String {
+    match status {
+        BatchStatus::Converged => "converged".into(),
+        BatchStatus::NotConverged(reason) => format!("not converged ({})", why(reason)),
+        other => status_name(&other),
+    }
+}
+
+/// A batch optimization's end in one word, as reports spell it.
+pub(crate) fn status_name(status: &BatchStatus) -> String {
+    serialized_name(&json!(status)["status"])
+}
+
+fn serialized_name(value: &impl Serialize) -> String {
+    json!(value).as_str().unwrap_or("unknown").to_string()
 }
 
 /// Times of the updates.
@@ -188,7 +209,7 @@ pub(crate) struct Run {
 impl Report {
     pub(crate) fn new(replayer: &Replayer, run: Run) -> Result<Self, Error> {
         let unsolvable = |source| Error::unsolvable(replayer, source);
-        let Objective { error, chi2 } = replayer.objective().map_err(unsolvable)?;
+        let Objective { error, chi2, .. } = replayer.objective().map_err(unsolvable)?;
         let gauge_error = replayer.gauge_error().map_err(unsolvable)?;
         let size = replayer.smoother().size();
         let graph = replayer.graph();

@@ -22,7 +22,7 @@ impl StepName {
         match (&done.report.batch, done.step.kind) {
             (Some(_), _) => Self::Batch,
             (None, StepKind::Loop) => Self::Loop,
-            (None, StepKind::Explore) => Self::Explore,
+            (None, _) => Self::Explore,
         }
     }
 

@@ -7,6 +7,7 @@ use crate::{EvaluateError, PosePairs, Similarity, Statistics};
 
 /// The error of one pose.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct PoseError {
     /// The pose's id, where it is known.
     pub id: Option<u64>,
@@ -20,6 +21,7 @@ pub struct PoseError {
 
 /// The absolute trajectory error (ATE; evo's APE) over all poses, `Eₖ = yₖ⁻¹ (S xₖ)`.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct AbsoluteError {
     /// Of the distances between positions, `‖trans(Eₖ)‖` (m); its `rmse` is what is called *the*
     /// ATE.

@@ -19,6 +19,7 @@ use crate::{EvaluateError, PosePairs};
 
 /// How an estimate is laid over the truth.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Alignment {
     /// As it is.
     None,
@@ -61,6 +62,7 @@ impl Similarity {
 
 /// An alignment that was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Aligned {
     /// `truth_from_estimate`.
     pub similarity: Similarity,

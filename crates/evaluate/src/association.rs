@@ -9,6 +9,7 @@ use crate::EvaluateError;
 
 /// What an estimated pose and its true pose have in common.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Association {
     /// The same id.
     Id,
@@ -42,6 +43,7 @@ impl fmt::Display for Association {
 
 /// A pose, estimated and true.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct PosePair {
     /// Its id, where one is known.
     pub id: Option<u64>,

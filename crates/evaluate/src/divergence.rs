@@ -112,6 +112,7 @@ pub enum DivergenceError {
 
 /// What a reduced graph has lost, in nats, and by how much it moved.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Divergence {
     /// Kept variables.
     pub variables: usize,
@@ -149,7 +150,7 @@ impl Divergence {
         settings: &Settings,
     ) -> Result<Self, DivergenceError> {
         // What is factorized is looked at where it is.
-        let settings = Settings { relinearization: Relinearization::NEVER, ..*settings };
+        let settings = settings.with_relinearization(Relinearization::NEVER);
         let pairs = Pairs::new(full, reduced, kept)?;
         let all = Factorized::of(full.graph, full.estimates, |_| true, &settings)
             .map_err(DivergenceError::Full)?;

@@ -90,7 +90,10 @@ fn renamed(
         SmootherError::Singular(Singular::Variables { variables }) => {
             let variables = variables
                 .into_iter()
-                .map(|free| FreeVariable { variable: name(free.variable), ..free })
+                .map(|mut free: FreeVariable| {
+                    free.variable = name(free.variable);
+                    free
+                })
                 .collect();
             Singular::Variables { variables }.into()
         }

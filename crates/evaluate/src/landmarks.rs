@@ -10,6 +10,7 @@ use crate::{EvaluateError, Similarity, Statistics};
 
 /// Distances between estimated and true landmarks of the same ids.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct LandmarkError {
     /// Of the distances (m).
     pub distance: Statistics,

@@ -11,9 +11,8 @@
 //! landmark error               ‖S l̂ - l‖
 //! ```
 //!
-//! The absolute error says how consistent the map is as a whole, the relative error how good it is
-//! locally: Kümmerle et al. argue for the second, since one turn taken wrongly displaces all that
-//! follows.
+//! The absolute error measures the consistency of the whole map, the relative error its local quality.
+//! One wrong turn displaces all later poses, so Kümmerle et al. prefer the relative error.
 //!
 //! ```
 //! use evergraph_evaluate::{AbsoluteError, Alignment, Association, Map, PosePairs};

@@ -10,6 +10,7 @@ use crate::{EvaluateError, PosePairs, Statistics};
 
 /// Between which poses motions are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub struct RelativePairs {
     /// How many poses apart, counted among the poses that a truth is known for. Default: 1.
     pub delta: NonZeroUsize,
@@ -24,9 +25,26 @@ impl Default for RelativePairs {
     }
 }
 
+impl RelativePairs {
+    /// Sets [`delta`](Self::delta).
+    #[must_use]
+    pub const fn with_delta(mut self, delta: NonZeroUsize) -> Self {
+        self.delta = delta;
+        self
+    }
+
+    /// Sets [`all`](Self::all).
+    #[must_use]
+    pub const fn with_all(mut self, all: bool) -> Self {
+        self.all = all;
+        self
+    }
+}
+
 /// The relative pose error (RPE), `Eₖ = (yₖ⁻¹ yₖ₊Δ)⁻¹ (xₖ⁻¹ xₖ₊Δ)`: the same wherever in the world
 /// the estimate lies.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct RelativeError {
     /// Of the lengths of the translations (m).
     pub translation: Statistics,

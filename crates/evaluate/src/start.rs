@@ -21,7 +21,7 @@ impl Start {
     /// # Errors
     /// [`EvaluateError::Replay`], [`EvaluateError::Graph`] when the document is no graph.
     pub fn of(document: &Document, initial: Initial) -> Result<Self, EvaluateError> {
-        let options = ReplayOptions { prior: None, initial, ..ReplayOptions::default() };
+        let options = ReplayOptions::default().with_prior(None).with_initial(initial);
         let mut replay = Replay::new(document, &options)?;
         let mut graph = Graph::new();
         let mut change = graph.change();

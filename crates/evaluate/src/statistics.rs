@@ -6,6 +6,7 @@ use crate::EvaluateError;
 
 /// What there is to say about a list of errors `eₖ`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Statistics {
     /// How many there are, at least one.
     pub count: usize,

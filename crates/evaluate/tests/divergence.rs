@@ -52,7 +52,7 @@ fn world(
 }
 
 fn settle(smoother: &mut Smoother) {
-    let settings = BatchSettings { relative_decrease: 0.0, ..BatchSettings::default() };
+    let settings = BatchSettings::default().with_relative_decrease(0.0);
     smoother.optimize(&settings).unwrap();
 }
 

@@ -113,7 +113,7 @@ proptest! {
         let moved = |motion: &Pose3, poses: &[Pose3]| -> Vec<Pose3> {
             poses.iter().map(|pose| motion.compose(pose)).collect()
         };
-        let between = RelativePairs { delta: NonZeroUsize::new(3).unwrap(), all };
+        let between = RelativePairs::default().with_delta(NonZeroUsize::new(3).unwrap()).with_all(all);
         let here = RelativeError::of(&pairs(&estimate, &truth), between).unwrap();
         let there = pairs(&moved(&left, &estimate), &moved(&right, &truth));
         let there = RelativeError::of(&there, between).unwrap();
@@ -263,7 +263,9 @@ fn what_cannot_be_associated_is_said() {
     let pairs = PosePairs::new(&early, &tum, Association::TIME).unwrap();
     let delta = NonZeroUsize::new(2).unwrap();
     for all in [false, true] {
-        let error = RelativeError::of(&pairs, RelativePairs { delta, all }).unwrap_err();
+        let error =
+            RelativeError::of(&pairs, RelativePairs::default().with_delta(delta).with_all(all))
+                .unwrap_err();
         assert!(matches!(error, EvaluateError::NoPair { poses: 2, delta: 2 }), "{error}");
     }
 }

@@ -13,6 +13,7 @@ const LISTED: usize = 1000;
 
 /// The contents of a document, counted.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Summary {
     /// Lines of the file, blank ones included.
     pub lines: usize,
@@ -77,6 +78,7 @@ impl Summary {
 
 /// A line that was skipped because reading was lenient.
 #[derive(Debug)]
+#[non_exhaustive]
 pub struct Skipped {
     /// The line, from 1.
     pub line: usize,

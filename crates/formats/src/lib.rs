@@ -1,10 +1,9 @@
 //! Graph files: text to records, and records to text.
 //!
-//! Four families of files describe the same thing, poses that measure each other and landmarks, in
-//! different words and numbers: g2o, TORO (with HOG-Man), iSAM and PyFactorGraph. A [`Document`]
-//! keeps what a file says in the file's own numbers, so that writing the same family gives the same
-//! bits, and knows how to say it in another. It can also be made of a graph in memory
-//! ([`Document::from_graph`]). The crate `evergraph-replay` turns a document into the changes that a
+//! Four families of files describe graphs of poses and landmarks: g2o, TORO (with HOG-Man), iSAM and
+//! PyFactorGraph. A [`Document`] keeps the records of a file in the file's own numbers. Writing the
+//! same family gives the same bits; writing another converts them. A graph in memory becomes a
+//! document by [`Document::from_graph`]. The crate `evergraph-replay` turns a document into the changes that a
 //! robot would have made, step by step.
 //!
 //! # Lines

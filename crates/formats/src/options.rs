@@ -8,6 +8,7 @@ use crate::weight::WeightKind;
 
 /// A family of graph files. Told by content, never by extension: see [`ReadOptions::format`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Dialect {
     /// `VERTEX_SE2`, `EDGE_SE2` and so on; the matrices are information.
     G2o,
@@ -22,6 +23,16 @@ pub enum Dialect {
 }
 
 impl Dialect {
+    /// The name that [`FromStr`] reads: `g2o`, `toro`, `isam` or `pyfg`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::G2o => "g2o",
+            Self::Toro => "toro",
+            Self::Isam => "isam",
+            Self::Pyfg => "pyfg",
+        }
+    }
+
     /// The dialect that a file of this name is *written* in: `.g2o`, `.graph` and `.toro` (TORO),
     /// `.txt` (iSAM), `.pyfg` (PyFactorGraph).
     pub fn of_extension(path: &Path) -> Option<Self> {
@@ -64,6 +75,7 @@ impl FromStr for Dialect {
 
 /// The unit of the rotation part of g2o's 3D information.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum G2oRotation {
     /// As it stands: the weight of an angle in radians, as GTSAM, SE-Sync and Ceres' example read it.
     #[default]
@@ -71,6 +83,16 @@ pub enum G2oRotation {
     /// g2o's own: the weight of the quaternion's vector part, about half the angle, so that the
     /// rotation rows and columns are each halved on the way to radians.
     Quaternion,
+}
+
+impl G2oRotation {
+    /// The name that [`FromStr`] reads: `angle` or `quaternion`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Angle => "angle",
+            Self::Quaternion => "quaternion",
+        }
+    }
 }
 
 impl FromStr for G2oRotation {
@@ -82,6 +104,17 @@ impl FromStr for G2oRotation {
             "angle" => Ok(Self::Angle),
             "quaternion" => Ok(Self::Quaternion),
             _ => Err(format!("`{name}` is no rotation unit; there are angle and quaternion")),
+        }
+    }
+}
+
+impl WeightKind {
+    /// The name that [`FromStr`] reads: `sqrt`, `information` or `covariance`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::SquareRoot => "sqrt",
+            Self::Information => "information",
+            Self::Covariance => "covariance",
         }
     }
 }
@@ -104,6 +137,7 @@ impl FromStr for WeightKind {
 
 /// How a file is read.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct ReadOptions {
     /// The dialect; told by content when `None` (the default). The tags that g2o and PyFactorGraph
     /// share are the latter's where there are names such as `A0` for ids. `EDGE2` and `EDGE3` are
@@ -130,11 +164,51 @@ impl Default for ReadOptions {
     }
 }
 
+impl ReadOptions {
+    /// Sets [`format`](Self::format).
+    #[must_use]
+    pub const fn with_format(mut self, format: Option<Dialect>) -> Self {
+        self.format = format;
+        self
+    }
+
+    /// Sets [`isam_matrix`](Self::isam_matrix).
+    #[must_use]
+    pub const fn with_isam_matrix(mut self, isam_matrix: WeightKind) -> Self {
+        self.isam_matrix = isam_matrix;
+        self
+    }
+
+    /// Sets [`g2o_rotation`](Self::g2o_rotation).
+    #[must_use]
+    pub const fn with_g2o_rotation(mut self, g2o_rotation: G2oRotation) -> Self {
+        self.g2o_rotation = g2o_rotation;
+        self
+    }
+
+    /// Sets [`lenient`](Self::lenient).
+    #[must_use]
+    pub const fn with_lenient(mut self, lenient: bool) -> Self {
+        self.lenient = lenient;
+        self
+    }
+}
+
 /// How a document is written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct WriteOptions {
     /// Leaves out, and counts, what other readers of g2o do not know: lines of tags that are our
     /// own (`FACTOR_...`, `GEODETIC_ORIGIN`) and `ROBUST` before a line, which stays without it.
     /// Default: false.
     pub plain: bool,
+}
+
+impl WriteOptions {
+    /// Sets [`plain`](Self::plain).
+    #[must_use]
+    pub const fn with_plain(mut self, plain: bool) -> Self {
+        self.plain = plain;
+        self
+    }
 }

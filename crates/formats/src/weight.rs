@@ -18,6 +18,7 @@ pub struct Weight {
 
 /// What the matrix of a measurement is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum WeightKind {
     /// Information, the inverse of the covariance.
     Information,

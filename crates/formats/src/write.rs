@@ -15,6 +15,7 @@ use crate::write_line::push_line;
 
 /// What was written.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Written {
     /// Lines.
     pub lines: usize,

@@ -10,7 +10,7 @@ fn strict(text: &[u8]) -> Result<Document, FormatError> {
 }
 
 fn lenient(text: &[u8]) -> Result<Document, FormatError> {
-    Document::parse("f.g2o", text, &ReadOptions { lenient: true, ..ReadOptions::default() })
+    Document::parse("f.g2o", text, &ReadOptions::default().with_lenient(true))
 }
 
 /// `line` after the good lines is this error, at line 4, and is skipped leniently.
@@ -251,7 +251,7 @@ fn toro_may_list_its_edges_first() {
     let path = std::env::temp_dir().join(format!("edges-first-{}.graph", std::process::id()));
     std::fs::write(&path, &text).unwrap();
     for lenient in [false, true] {
-        let options = ReadOptions { lenient, ..ReadOptions::default() };
+        let options = ReadOptions::default().with_lenient(lenient);
         let document = Document::read(&path, &options).unwrap();
         assert_eq!((document.dialect(), document.summary().skipped), (Dialect::Toro, 0));
         assert_eq!(document.records().len(), 3);
@@ -320,10 +320,8 @@ fn quaternions_off_unit_length_are_counted_and_kept() {
 
 #[test]
 fn covariances_have_to_be_definite() {
-    let options = ReadOptions {
-        isam_matrix: evergraph_formats::WeightKind::Covariance,
-        ..ReadOptions::default()
-    };
+    let options =
+        ReadOptions::default().with_isam_matrix(evergraph_formats::WeightKind::Covariance);
     let error =
         Document::parse("c", "EDGE2 0 1 1 0 0 0.1 0 0 0.1 0 0\n".as_bytes(), &options).unwrap_err();
     assert!(error.to_string().contains("covariance matrix"), "{error}");

@@ -23,8 +23,7 @@ pub(crate) fn solve<const D: usize>(
     relations: &[Relation<D>],
     settings: &Settings,
 ) -> Result<Vec<SVector<f64, D>>, SmootherError> {
-    let mut smoother =
-        Smoother::new(Settings { relinearization: Relinearization::NEVER, ..*settings })?;
+    let mut smoother = Smoother::new(settings.with_relinearization(Relinearization::NEVER))?;
     let mut change = smoother.change();
     let ends: Vec<End<D>> = known
         .iter()

@@ -13,6 +13,7 @@ use crate::thinning::Thinning;
 /// state; the one that failed and those after it have changed nothing.
 #[derive(Debug, Error)]
 #[error("{failure}")]
+#[non_exhaustive]
 pub struct ThinningError {
     /// The reason.
     #[source]

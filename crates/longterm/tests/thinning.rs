@@ -9,7 +9,7 @@ use evergraph_solver::{BatchSettings, Settings, Smoother};
 
 /// A way with closures at its optimum; near its end poses see a landmark.
 fn world(threads: usize) -> (Smoother, Vec<VariableId>) {
-    let settings = Settings { threads, ..Settings::default() };
+    let settings = Settings::default().with_threads(threads);
     let mut smoother = Smoother::new(settings).unwrap();
     let mut change = smoother.change();
     let noise = Noise::from_sigmas(&[0.1, 0.1, 0.02]).unwrap();

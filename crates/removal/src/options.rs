@@ -8,6 +8,7 @@ use crate::error::RemovalError;
 /// Which of the blanket's variables the new factors join.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Topology {
     /// One factor on the whole blanket: exact, and in the long run a dense graph.
     Dense,

@@ -44,6 +44,7 @@ impl<N: Copy + Ord> DegreeQueue<N> {
 
 /// What the removal of a node would cost.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Loss {
     /// Its price in nats; infinite when it cannot be removed or priced now, so that it goes last.
     pub price: f64,

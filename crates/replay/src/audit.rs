@@ -18,6 +18,7 @@ const NEGLIGIBLE: f64 = 1e-6;
 
 /// An estimate beside the batch optimum.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct AuditSample {
     /// Changes that the smoother had applied.
     pub step: u64,
@@ -143,7 +144,7 @@ mod tests {
         let mut grid = Grid::city(120, 3);
         grid.odometry = [0.1, 0.1, 0.05];
         let world = grid.generate().unwrap();
-        let settings = Settings { relinearization, ..Settings::default() };
+        let settings = Settings::default().with_relinearization(relinearization);
         let options = ReplayOptions::default();
         let mut replayer = Replayer::new(&world.document, &options, settings).unwrap();
         let mut audit = Audit::new();

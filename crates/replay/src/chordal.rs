@@ -133,8 +133,7 @@ mod tests {
             grid.odometry = [1e-9; 3];
             grid.closures.sigmas = [1e-9; 3];
         }
-        city.landmarks =
-            Some(Landmarks { density: 0.05, sigmas: [1e-9; 2], ..Landmarks::default() });
+        city.landmarks = Some(Landmarks::default().with_density(0.05).with_sigmas([1e-9; 2]));
         let mut sphere = Surface::sphere(300, 3);
         let mut torus = Surface::torus(300, 4);
         for surface in [&mut sphere, &mut torus] {

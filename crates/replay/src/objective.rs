@@ -4,6 +4,7 @@ use evergraph_model::{FactorId, Graph, GraphError};
 
 /// What a map costs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct Objective {
     /// `½ Σ ‖r‖²` over whitened residuals, after robust kernels `Σ ρ`.
     pub error: f64,

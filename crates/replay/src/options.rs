@@ -4,6 +4,7 @@ use evergraph_model::{FactorId, Kernel, VariableId};
 
 /// Where the start value of a new variable comes from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Initial {
     /// A pose from the current estimate of the other end of its odometry edge, a landmark from the
     /// first pose that sees it: what a robot knows at that moment.
@@ -15,6 +16,7 @@ pub enum Initial {
 
 /// How a document is replayed.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct ReplayOptions {
     /// Standard deviation of the gauge priors, in metres and radians alike; `None` adds none, and
     /// the caller has to hold the gauge. Default: 0.01, firm beside the loop closures of a file and
@@ -35,8 +37,32 @@ impl Default for ReplayOptions {
     }
 }
 
+impl ReplayOptions {
+    /// Sets [`prior`](Self::prior).
+    #[must_use]
+    pub const fn with_prior(mut self, prior: Option<f64>) -> Self {
+        self.prior = prior;
+        self
+    }
+
+    /// Sets [`initial`](Self::initial).
+    #[must_use]
+    pub const fn with_initial(mut self, initial: Initial) -> Self {
+        self.initial = initial;
+        self
+    }
+
+    /// Sets [`kernel`](Self::kernel).
+    #[must_use]
+    pub const fn with_kernel(mut self, kernel: Option<Kernel>) -> Self {
+        self.kernel = kernel;
+        self
+    }
+}
+
 /// What a step does to the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum StepKind {
     /// The new pose comes in by one edge (or repetitions of it) and sees only new landmarks.
     Explore,
@@ -46,6 +72,7 @@ pub enum StepKind {
 
 /// A prior that holds the gauge; it is none of the file's factors.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct GaugePrior {
     /// The pose's id in the file.
     pub id: u64,
@@ -66,6 +93,7 @@ pub struct GaugePrior {
 
 /// What a step's change holds.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Step {
     /// The newest pose.
     pub pose: VariableId,

@@ -27,6 +27,7 @@ pub struct Overview {
 
 /// A part of a graph that no factor ties to the rest.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Component {
     /// Its lowest id, of a pose if it has one.
     pub first: u64,

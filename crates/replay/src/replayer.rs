@@ -18,6 +18,7 @@ use crate::words;
 
 /// One step of a replay.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Replayed {
     /// What came in.
     pub step: Step,
@@ -205,11 +206,7 @@ impl Replayer {
         const NEGLIGIBLE: f64 = 1e-6;
         let mut copy = self.smoother.clone();
         let before = copy.error()?;
-        let step = BatchSettings {
-            method: Method::GaussNewton,
-            max_iterations: 1,
-            ..BatchSettings::default()
-        };
+        let step = BatchSettings::default().with_method(Method::GaussNewton).with_max_iterations(1);
         let after = copy.optimize(&step)?;
         // A Gauss-Newton step that would raise the error proves nothing.
         if after.status == Status::NotConverged(Reason::ErrorWouldRise) {

@@ -8,7 +8,7 @@ use evergraph_solver::{BatchSettings, Relinearization, Settings, Smoother, Statu
 
 /// A loop of `poses` poses whose odometry turns too much, closed at the end.
 fn bent_loop(poses: u32, sigma: f64) -> Smoother {
-    let settings = Settings { relinearization: Relinearization::NEVER, ..Settings::default() };
+    let settings = Settings::default().with_relinearization(Relinearization::NEVER);
     let mut smoother = Smoother::new(settings).unwrap();
     let noise = Noise::isotropic(3, sigma).unwrap();
     let turn = std::f64::consts::TAU / f64::from(poses);
@@ -53,7 +53,7 @@ fn an_estimate_that_never_relinearizes_is_above_the_optimum() {
     let part = AuditSample::take(&smoother, &BatchSettings::default(), |id| id != closure).unwrap();
     assert!(part.error < sample.error && part.optimum < sample.optimum);
 
-    let impatient = BatchSettings { max_iterations: 1, ..BatchSettings::default() };
+    let impatient = BatchSettings::default().with_max_iterations(1);
     let cut = AuditSample::take(&smoother, &impatient, |_| true).unwrap();
     assert!(matches!(cut.status, Status::NotConverged(_)));
 
@@ -71,7 +71,7 @@ fn an_estimate_that_never_relinearizes_is_above_the_optimum() {
 /// Points and differences are linear: there the incremental estimate is the optimum.
 #[test]
 fn a_linear_problem_has_no_excess() {
-    let settings = Settings { relinearization: Relinearization::NEVER, ..Settings::default() };
+    let settings = Settings::default().with_relinearization(Relinearization::NEVER);
     let mut smoother = Smoother::new(settings).unwrap();
     let noise = Noise::isotropic(2, 0.1).unwrap();
     let mut change = smoother.change();

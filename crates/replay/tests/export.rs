@@ -240,11 +240,9 @@ fn graphs_are_written_and_read_back() {
         assert!(document.lines().iter().map(same).eq(read.lines().iter().map(same)), "{text}");
 
         // The graph that the file makes has the same residuals.
-        let options = ReplayOptions {
-            prior: None,
-            initial: evergraph_replay::Initial::FromFile,
-            ..ReplayOptions::default()
-        };
+        let options = ReplayOptions::default()
+            .with_prior(None)
+            .with_initial(evergraph_replay::Initial::FromFile);
         let mut replay = Replay::new(&read, &options).unwrap();
         let mut again = Graph::new();
         let mut change = again.change();

@@ -79,7 +79,7 @@ fn mutate(bytes: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
 /// Everything that can be done with the bytes.
 fn exercise(bytes: &[u8]) {
     for lenient in [false, true] {
-        let options = ReadOptions { lenient, ..ReadOptions::default() };
+        let options = ReadOptions::default().with_lenient(lenient);
         let document = match Document::parse("mutant", bytes, &options) {
             Ok(document) => document,
             Err(error) => {
@@ -193,7 +193,7 @@ fn noise_is_an_error() {
         let mut bytes = vec![0; length];
         rng.fill_bytes(&mut bytes);
         for lenient in [false, true] {
-            let options = ReadOptions { lenient, ..ReadOptions::default() };
+            let options = ReadOptions::default().with_lenient(lenient);
             assert!(Document::parse("noise", bytes.as_slice(), &options).is_err(), "{length}");
         }
     }

@@ -123,10 +123,7 @@ fn start_values_have_the_errors_of_the_references() {
             [(Initial::FromOdometry, "error_at_odometry"), (Initial::FromFile, "error_at_vertices")]
         {
             let Some(expected) = references[name][field].as_f64() else { continue };
-            let run = replay(
-                &common::read(&path),
-                &ReplayOptions { initial, ..ReplayOptions::default() },
-            );
+            let run = replay(&common::read(&path), &ReplayOptions::default().with_initial(initial));
             let error: f64 = run
                 .replay
                 .factors()
@@ -259,7 +256,7 @@ fn work_grows_with_the_length_of_a_file() {
     }
     for (text, held_back) in [(apart, 0), (ahead, 1)] {
         let document = Document::parse("text", text.as_bytes(), &ReadOptions::default()).unwrap();
-        let options = ReplayOptions { initial: Initial::FromFile, ..ReplayOptions::default() };
+        let options = ReplayOptions::default().with_initial(Initial::FromFile);
         let mut replay = Replay::new(&document, &options).unwrap();
         replay.everything(&mut Graph::new().change()).unwrap();
         assert_eq!(replay.held_back(), held_back);

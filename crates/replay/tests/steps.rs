@@ -25,9 +25,9 @@ fn the_gauge_is_held_once_for_each_component_or_where_fix_says() {
     assert_eq!(priors(edges, &default), [(0, false), (7, false)]);
     assert_eq!(priors(&format!("{edges}FIX 2\n"), &default), [(2, true), (7, false)]);
     assert_eq!(priors(&format!("{edges}FIX 1 8 2\n"), &default), [(1, true), (2, true), (8, true)]);
-    assert_eq!(priors(edges, &ReplayOptions { prior: None, ..default }), []);
+    assert_eq!(priors(edges, &default.with_prior(None)), []);
     for sigma in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        let options = ReplayOptions { prior: Some(sigma), ..default };
+        let options = default.with_prior(Some(sigma));
         assert!(matches!(
             Replay::new(&parse(edges), &options),
             Err(ReplayerError::BadSetting { .. })
@@ -38,8 +38,7 @@ fn the_gauge_is_held_once_for_each_component_or_where_fix_says() {
 #[test]
 fn kernels_wrap_the_factors_of_the_file_only() {
     let document = parse("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n");
-    let options =
-        ReplayOptions { kernel: Some(Kernel::huber(1.0).unwrap()), ..ReplayOptions::default() };
+    let options = ReplayOptions::default().with_kernel(Some(Kernel::huber(1.0).unwrap()));
     let mut replay = Replay::new(&document, &options).unwrap();
     let mut change = Graph::new().change();
     replay.everything(&mut change).unwrap();
@@ -58,8 +57,7 @@ fn kernels_are_not_put_around_factors_that_have_one_or_are_sums() {
         "EDGE_PRIOR_SE2 0 0 0 0 1 0 0 1 0 1",
     ];
     let document = parse(&lines.join("\n"));
-    let options =
-        ReplayOptions { kernel: Some(Kernel::huber(1.0).unwrap()), ..ReplayOptions::default() };
+    let options = ReplayOptions::default().with_kernel(Some(Kernel::huber(1.0).unwrap()));
     let mut replay = Replay::new(&document, &options).unwrap();
     let mut change = Graph::new().change();
     replay.everything(&mut change).unwrap();
@@ -98,7 +96,7 @@ fn start_values_follow_the_estimate_in_either_direction() {
     replay.next_step(&mut change, &mut |_| Some(moved.clone())).unwrap().unwrap();
     assert_eq!(change.new_variables()[0].1.get::<Pose2>().unwrap().x(), 11.0);
 
-    let options = ReplayOptions { initial: Initial::FromFile, ..ReplayOptions::default() };
+    let options = ReplayOptions::default().with_initial(Initial::FromFile);
     let mut change = Graph::new().change();
     Replay::new(&document, &options).unwrap().everything(&mut change).unwrap();
     assert_eq!(change.new_variables()[1].1.get::<Pose2>().unwrap().x(), 9.0);

@@ -14,6 +14,7 @@ use crate::pose::{Pose, information};
 /// other way. From the nearest on (at random where distances tie) each becomes a closure with
 /// [`probability`](Self::probability), until there are [`per_pose`](Self::per_pose).
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Closures<const N: usize> {
     /// How likely a candidate becomes a closure; 0 for a world without closures.
     pub probability: f64,
@@ -30,6 +31,48 @@ pub struct Closures<const N: usize> {
 }
 
 impl<const N: usize> Closures<N> {
+    /// Sets [`probability`](Self::probability).
+    #[must_use]
+    pub const fn with_probability(mut self, probability: f64) -> Self {
+        self.probability = probability;
+        self
+    }
+
+    /// Sets [`radius`](Self::radius).
+    #[must_use]
+    pub const fn with_radius(mut self, radius: f64) -> Self {
+        self.radius = radius;
+        self
+    }
+
+    /// Sets [`per_pose`](Self::per_pose).
+    #[must_use]
+    pub const fn with_per_pose(mut self, per_pose: u32) -> Self {
+        self.per_pose = per_pose;
+        self
+    }
+
+    /// Sets [`gap`](Self::gap).
+    #[must_use]
+    pub const fn with_gap(mut self, gap: u32) -> Self {
+        self.gap = gap;
+        self
+    }
+
+    /// Sets [`turn`](Self::turn).
+    #[must_use]
+    pub const fn with_turn(mut self, turn: f64) -> Self {
+        self.turn = turn;
+        self
+    }
+
+    /// Sets [`sigmas`](Self::sigmas).
+    #[must_use]
+    pub const fn with_sigmas(mut self, sigmas: [f64; N]) -> Self {
+        self.sigmas = sigmas;
+        self
+    }
+
     pub(crate) fn check(&self) -> Result<(), WorldError> {
         check_probability("closures.probability", self.probability)?;
         check_positive("closures.radius", self.radius)?;

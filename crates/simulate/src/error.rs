@@ -4,6 +4,7 @@ use evergraph_formats::FormatError;
 
 /// Why a world cannot be made.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum WorldError {
     /// A measurement needs two poses.
     #[error("{poses} poses hold no measurement: a world needs at least 2")]

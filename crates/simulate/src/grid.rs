@@ -20,6 +20,7 @@ const BACK: f64 = 0.1;
 /// or turns; a turn and the step after it are one motion, as in M3500. It starts in the middle at
 /// the identity and never leaves the town.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Grid {
     /// How many poses, at least 2.
     pub poses: u32,
@@ -85,6 +86,62 @@ impl Grid {
             },
             landmarks: None,
         }
+    }
+
+    /// Sets [`poses`](Self::poses).
+    #[must_use]
+    pub const fn with_poses(mut self, poses: u32) -> Self {
+        self.poses = poses;
+        self
+    }
+
+    /// Sets [`seed`](Self::seed).
+    #[must_use]
+    pub const fn with_seed(mut self, seed: u64) -> Self {
+        self.seed = seed;
+        self
+    }
+
+    /// Sets [`block`](Self::block).
+    #[must_use]
+    pub const fn with_block(mut self, block: u32) -> Self {
+        self.block = block;
+        self
+    }
+
+    /// Sets [`blocks`](Self::blocks).
+    #[must_use]
+    pub const fn with_blocks(mut self, blocks: u32) -> Self {
+        self.blocks = blocks;
+        self
+    }
+
+    /// Sets [`turn`](Self::turn).
+    #[must_use]
+    pub const fn with_turn(mut self, turn: f64) -> Self {
+        self.turn = turn;
+        self
+    }
+
+    /// Sets [`odometry`](Self::odometry).
+    #[must_use]
+    pub const fn with_odometry(mut self, odometry: [f64; 3]) -> Self {
+        self.odometry = odometry;
+        self
+    }
+
+    /// Sets [`closures`](Self::closures).
+    #[must_use]
+    pub const fn with_closures(mut self, closures: Closures<3>) -> Self {
+        self.closures = closures;
+        self
+    }
+
+    /// Sets [`landmarks`](Self::landmarks).
+    #[must_use]
+    pub const fn with_landmarks(mut self, landmarks: Option<Landmarks>) -> Self {
+        self.landmarks = landmarks;
+        self
     }
 
     /// Makes the world.

@@ -14,6 +14,7 @@ use crate::pose::information;
 ///
 /// Only landmarks that were seen are part of the world.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Landmarks {
     /// How many there are in a square meter (1/m²); 0 for none.
     pub density: f64,
@@ -35,6 +36,41 @@ impl Default for Landmarks {
 }
 
 impl Landmarks {
+    /// Sets [`density`](Self::density).
+    #[must_use]
+    pub const fn with_density(mut self, density: f64) -> Self {
+        self.density = density;
+        self
+    }
+
+    /// Sets [`range`](Self::range).
+    #[must_use]
+    pub const fn with_range(mut self, range: f64) -> Self {
+        self.range = range;
+        self
+    }
+
+    /// Sets [`probability`](Self::probability).
+    #[must_use]
+    pub const fn with_probability(mut self, probability: f64) -> Self {
+        self.probability = probability;
+        self
+    }
+
+    /// Sets [`per_pose`](Self::per_pose).
+    #[must_use]
+    pub const fn with_per_pose(mut self, per_pose: u32) -> Self {
+        self.per_pose = per_pose;
+        self
+    }
+
+    /// Sets [`sigmas`](Self::sigmas).
+    #[must_use]
+    pub const fn with_sigmas(mut self, sigmas: [f64; 2]) -> Self {
+        self.sigmas = sigmas;
+        self
+    }
+
     /// How many landmarks stand in a square with sides of `side` meters.
     pub(crate) fn count(&self, side: f64, poses: u32) -> Result<u32, WorldError> {
         check_at_least("landmarks.density", self.density, 0.0)?;

@@ -1,9 +1,8 @@
 //! Simulated worlds with known truth.
 //!
-//! A solver can agree with itself and still be wrong. Here the true poses are known, the noise is
-//! drawn from exactly the distribution that the information matrices state, and the size is free:
-//! ten poses for a unit test, a million for a scaling curve. A world is a [`World::document`], what
-//! a robot would have recorded, and a [`World::truth`], where it really was.
+//! The true poses are known, the noise follows the stated information matrices exactly, and the size
+//! is free: ten poses for a unit test, a million for a scaling curve. A world has a
+//! [`World::document`], the recording of a robot, and a [`World::truth`], its true poses.
 //!
 //! | world | like | shape |
 //! |---|---|---|
@@ -22,19 +21,18 @@
 //! z = Xᵢ⁻¹ l + n                                                  landmarks
 //! ```
 //!
-//! so that at the truth the whitened between residual `Log(z⁻¹ Xᵢ⁻¹ Xⱼ)` is standard normal and the
-//! expected chi2 is the number of measured components. Ids are 0, 1, ... in time order, landmarks
-//! follow the poses in the order in which they were first seen. The document holds all vertices
+//! At the truth the whitened between residual `Log(z⁻¹ Xᵢ⁻¹ Xⱼ)` is standard normal, and
+//! the expected chi2 is the number of measured components. Ids are 0, 1, ... in time order; landmarks
+//! follow the poses in the order of their first sightings. The document holds all vertices
 //! first (the initial guess: odometry composed from the true first pose), then the edges: for each
 //! pose its odometry, its closures with earlier poses, its landmarks.
 //!
 //! # The same bits everywhere
 //!
-//! A world depends on its parameters only: the random stream is ChaCha8, and nothing but IEEE
-//! additions, multiplications, divisions and square roots and the portable functions of `libm`
-//! reaches a number; the platform's own sine may differ in the last bit. The walk, the odometry
-//! noise, the closures and the landmarks have streams of their own, so that a world with other
-//! closures is still the same walk with the same odometry.
+//! A world depends on its parameters only. The random stream is ChaCha8, and all numbers come from
+//! IEEE arithmetic, square roots and the portable functions of `libm`; sines of the platform may differ
+//! in the last bit. The walk, the odometry noise, the closures and the landmarks have streams of their
+//! own: worlds with different closures share walk and odometry.
 //!
 //! Time and memory are linear in the number of poses, whatever the density: neighbours come from a
 //! grid of cells, of each of which a bounded number of poses is looked at.
@@ -82,6 +80,7 @@ pub use surface::{Shape, Surface};
 
 /// What a robot recorded, and where it was.
 #[derive(Debug)]
+#[non_exhaustive]
 pub struct World {
     /// Initial guess of every vertex, then the measurements in time order.
     pub document: Document,

@@ -11,6 +11,7 @@ use crate::pose::{about_y, about_z};
 
 /// The surface of a [`Surface`] world, centered at the origin with its axis along z.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Shape {
     /// The robot winds around the axis from one pole to the other.
     Sphere {
@@ -28,6 +29,7 @@ pub enum Shape {
 
 /// A spiral over a closed surface; x points along the rings, z out of the surface.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Surface {
     /// How many poses, at least 2.
     pub poses: u32,
@@ -69,6 +71,48 @@ impl Surface {
         let spacing = 2.0 * PI * (major + minor) * f64::from(ring) / f64::from(poses.max(1));
         let sigmas = [0.05, 0.05, 0.01, 0.005, 0.005, 0.01];
         Self::new(poses, seed, Shape::Torus { major, minor }, ring, spacing, sigmas)
+    }
+
+    /// Sets [`poses`](Self::poses).
+    #[must_use]
+    pub const fn with_poses(mut self, poses: u32) -> Self {
+        self.poses = poses;
+        self
+    }
+
+    /// Sets [`seed`](Self::seed).
+    #[must_use]
+    pub const fn with_seed(mut self, seed: u64) -> Self {
+        self.seed = seed;
+        self
+    }
+
+    /// Sets [`shape`](Self::shape).
+    #[must_use]
+    pub const fn with_shape(mut self, shape: Shape) -> Self {
+        self.shape = shape;
+        self
+    }
+
+    /// Sets [`ring`](Self::ring).
+    #[must_use]
+    pub const fn with_ring(mut self, ring: u32) -> Self {
+        self.ring = ring;
+        self
+    }
+
+    /// Sets [`odometry`](Self::odometry).
+    #[must_use]
+    pub const fn with_odometry(mut self, odometry: [f64; 6]) -> Self {
+        self.odometry = odometry;
+        self
+    }
+
+    /// Sets [`closures`](Self::closures).
+    #[must_use]
+    pub const fn with_closures(mut self, closures: Closures<6>) -> Self {
+        self.closures = closures;
+        self
     }
 
     /// Makes the world.

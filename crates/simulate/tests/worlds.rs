@@ -10,7 +10,7 @@ use evergraph_model::{LieGroup, Point2, Pose2, Pose3};
 use evergraph_simulate::{Grid, Landmarks, Shape, Surface, World, WorldError};
 
 fn grid_with_landmarks(poses: u32, seed: u64) -> Grid {
-    Grid { landmarks: Some(Landmarks::default()), ..Grid::manhattan(poses, seed) }
+    Grid::manhattan(poses, seed).with_landmarks(Some(Landmarks::default()))
 }
 
 /// Every kind of world, small.
@@ -287,7 +287,7 @@ fn noise_in_2d_is_what_the_information_says() {
     grid.odometry = [0.05, 0.01, 0.02];
     grid.closures.sigmas = [0.2, 0.1, 0.3];
     grid.closures.probability = 0.1;
-    let sightings = Landmarks { sigmas: [0.3, 0.03], ..Landmarks::default() };
+    let sightings = Landmarks::default().with_sigmas([0.3, 0.03]);
     grid.landmarks = Some(sightings.clone());
     let world = grid.generate().expect("valid");
     let poses = poses2(&world.truth);
@@ -431,7 +431,7 @@ fn bad_parameters_are_typed_errors() {
         not_positive("closures.radius", f64::NAN)
     );
     let crowded = WorldError::TooManyLandmarks { count: 1e12 * 32.0 * 32.0, limit: u32::MAX - 100 };
-    let landmarks = Landmarks { density: 1e12, ..Landmarks::default() };
+    let landmarks = Landmarks::default().with_density(1e12);
     let error = grid(&|grid| {
         (grid.block, grid.blocks) = (4, 4);
         grid.landmarks = Some(landmarks.clone());
@@ -463,8 +463,8 @@ fn time_is_linear_even_where_everyone_meets() {
     assert!(city < 24.0, "city: {city}");
     // One block of one meter: nine places.
     let crowd = growth(2_000, &|poses| {
-        let mut crowd = Grid { block: 1, blocks: 1, ..Grid::manhattan(poses, 1) };
-        crowd.landmarks = Some(Landmarks { density: 100.0, ..Landmarks::default() });
+        let mut crowd = Grid::manhattan(poses, 1).with_block(1).with_blocks(1);
+        crowd.landmarks = Some(Landmarks::default().with_density(100.0));
         drop(crowd.generate().expect("valid"));
     });
     assert!(crowd < 24.0, "crowd: {crowd}");

@@ -21,6 +21,7 @@ pub enum Method {
 /// When to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct BatchSettings {
     /// How steps are chosen.
     pub method: Method,
@@ -40,18 +41,21 @@ impl Default for BatchSettings {
 
 impl BatchSettings {
     /// With another method.
+    #[must_use]
     pub const fn with_method(mut self, method: Method) -> Self {
         self.method = method;
         self
     }
 
     /// With at most so many linearizations.
+    #[must_use]
     pub const fn with_max_iterations(mut self, max_iterations: u32) -> Self {
         self.max_iterations = max_iterations;
         self
     }
 
     /// With another [share](Self::relative_decrease) of the error as the end.
+    #[must_use]
     pub const fn with_relative_decrease(mut self, relative_decrease: f64) -> Self {
         self.relative_decrease = relative_decrease;
         self
@@ -67,6 +71,7 @@ impl BatchSettings {
 /// How a batch optimization ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "status", content = "why")]
+#[non_exhaustive]
 pub enum Status {
     /// No step lowers the error any more.
     Converged,
@@ -77,6 +82,7 @@ pub enum Status {
 /// Why an optimization stopped before it converged. The estimate is the best point found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Reason {
     /// `max_iterations` were used up.
     IterationLimit,

@@ -68,6 +68,7 @@ pub enum SmootherError {
 
 /// The directions that the factors leave free.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Singular {
     /// Some variables lack constraints of their own.
     Variables {
@@ -137,6 +138,7 @@ impl std::error::Error for Singular {}
 
 /// A variable with free directions.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct FreeVariable {
     /// The variable.
     pub variable: VariableId,

@@ -8,11 +8,19 @@
 //! ```
 //!
 //! R, the square-root information matrix, is kept as a tree of cliques (Bayes tree). A change
-//! takes out the cliques that it touches and their ancestors, and eliminates those variables anew,
-//! in a fresh order; all subtrees below are kept with what they contribute. Batch is the same code
-//! on the whole tree.
+//! detaches the cliques that it touches and their ancestors, and eliminates their variables in a new
+//! order. All subtrees below are kept with their contributions. Batch is the same code on the whole
+//! tree.
 //!
-//! Start at [`Smoother`]. The solver names no particular factor, file format or removal rule.
+//! | task | call |
+//! |---|---|
+//! | apply measurements, removals, fixed variables | [`Smoother::apply`] |
+//! | read estimates | [`Smoother::estimate`], [`Smoother::estimates`], [`Smoother::cached_estimates`] |
+//! | read covariances | [`Smoother::marginal`], [`Smoother::covariances`] |
+//! | optimize to convergence | [`Smoother::optimize`] |
+//! | read one factor at the estimate | [`Smoother::residual_of`], [`Smoother::weight_of`], [`Smoother::error_of_factor`] |
+//!
+//! The solver names no particular factor, file format or removal rule.
 //!
 //! # Example
 //!

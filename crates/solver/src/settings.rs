@@ -22,6 +22,7 @@ pub enum Elimination {
 /// linearization point, and relinearize.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub struct Fluid {
     /// Largest component of δ that is tolerated (m and rad alike). Smaller is more exact and
     /// slower.
@@ -36,6 +37,7 @@ pub struct Fluid {
 /// When linearization points move to the estimate: a policy, as data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct Relinearization {
     /// The frequent check for what has moved far.
     pub fluid: Option<Fluid>,
@@ -66,6 +68,27 @@ impl Fluid {
     /// `share` of it.
     pub const fn new(threshold: f64, share: f64, every: NonZeroU32) -> Self {
         Self { threshold, share, every }
+    }
+
+    /// Sets [`threshold`](Self::threshold).
+    #[must_use]
+    pub const fn with_threshold(mut self, threshold: f64) -> Self {
+        self.threshold = threshold;
+        self
+    }
+
+    /// Sets [`share`](Self::share).
+    #[must_use]
+    pub const fn with_share(mut self, share: f64) -> Self {
+        self.share = share;
+        self
+    }
+
+    /// Sets [`every`](Self::every).
+    #[must_use]
+    pub const fn with_every(mut self, every: NonZeroU32) -> Self {
+        self.every = every;
+        self
     }
 
     /// Variables beyond this are relinearized when one is beyond the threshold.
@@ -108,30 +131,35 @@ impl Relinearization {
     }
 
     /// With another frequent check, or none.
+    #[must_use]
     pub const fn with_fluid(mut self, fluid: Option<Fluid>) -> Self {
         self.fluid = fluid;
         self
     }
 
     /// With another rare check, or none.
+    #[must_use]
     pub const fn with_sweep(mut self, sweep: Option<Fluid>) -> Self {
         self.sweep = sweep;
         self
     }
 
     /// With the work of a check spread over so many changes.
+    #[must_use]
     pub const fn with_spread(mut self, spread: NonZeroU32) -> Self {
         self.spread = spread;
         self
     }
 
     /// With a batch step every so many changes, or none.
+    #[must_use]
     pub const fn with_batch(mut self, batch: Option<NonZeroU32>) -> Self {
         self.batch = batch;
         self
     }
 
     /// With the batch step in the background, taken over so many changes later, or not.
+    #[must_use]
     pub const fn with_background(mut self, background: Option<NonZeroU32>) -> Self {
         self.background = background;
         self
@@ -158,6 +186,7 @@ impl Default for Relinearization {
 /// As data it may be partial; unknown fields are errors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
+#[non_exhaustive]
 pub struct Settings {
     /// How cliques are eliminated. Default: Cholesky.
     pub elimination: Elimination,
@@ -187,6 +216,7 @@ impl Default for Settings {
 /// A setting that cannot be.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error("setting {field} is {value}, but must be {must}")]
+#[non_exhaustive]
 pub struct SettingsError {
     /// The field's path.
     pub field: &'static str,
@@ -198,24 +228,28 @@ pub struct SettingsError {
 
 impl Settings {
     /// With another way to eliminate cliques.
+    #[must_use]
     pub const fn with_elimination(mut self, elimination: Elimination) -> Self {
         self.elimination = elimination;
         self
     }
 
     /// With another policy for linearization points.
+    #[must_use]
     pub const fn with_relinearization(mut self, relinearization: Relinearization) -> Self {
         self.relinearization = relinearization;
         self
     }
 
     /// With another [tolerance](Self::back_substitution_tolerance) (m and rad).
+    #[must_use]
     pub const fn with_back_substitution_tolerance(mut self, tolerance: f64) -> Self {
         self.back_substitution_tolerance = tolerance;
         self
     }
 
     /// With so many threads for elimination.
+    #[must_use]
     pub const fn with_threads(mut self, threads: usize) -> Self {
         self.threads = threads;
         self

@@ -107,18 +107,15 @@ impl World {
     /// As [`new`](Self::new).
     pub fn on_threads(elimination: Elimination, threads: usize) -> Self {
         let every = |n| NonZeroU32::new(n).expect("not 0");
-        let settings = Settings {
-            elimination,
-            threads,
-            relinearization: Relinearization {
-                fluid: Some(Fluid { threshold: 0.01, share: 0.4, every: every(3) }),
-                sweep: None,
-                spread: every(4),
-                batch: Some(every(23)),
-                background: None,
-            },
-            ..Settings::default()
-        };
+        let settings = Settings::default()
+            .with_elimination(elimination)
+            .with_threads(threads)
+            .with_relinearization(
+                Relinearization::NEVER
+                    .with_fluid(Some(Fluid::new(0.01, 0.4, every(3))))
+                    .with_spread(every(4))
+                    .with_batch(Some(every(23))),
+            );
         let smoother = Smoother::new(settings).unwrap_or_else(|error| panic!("{error}"));
         let mut world = Self {
             smoother,

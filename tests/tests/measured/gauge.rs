@@ -125,7 +125,7 @@ fn without_priors_none_is_added() {
     let mut world = World::default();
     world.drive2(0..5, Pose2::new(1.0, 2.0, 3.0), 0.2);
     world.position(0);
-    let options = ReplayOptions { prior: None, ..ReplayOptions::default() };
+    let options = ReplayOptions::default().with_prior(None);
     let mut replay = evergraph::replay::Replay::new(&world.document(), &options).unwrap();
     let step = replay.everything(&mut evergraph::Graph::new().change()).unwrap();
     assert!(step.gauge_priors.is_empty() && replay.gauge_priors().is_empty());

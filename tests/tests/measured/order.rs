@@ -87,8 +87,7 @@ fn kernels_of_the_file_go_before_those_of_the_options() {
     world.position(1);
     world.measure(Quantity::Heading, &[1], &[0.2]);
     world.note(|line| line.set_kernel(Some(Kernel::huber(3.0).unwrap())));
-    let options =
-        ReplayOptions { kernel: Some(Kernel::huber(1.0).unwrap()), ..ReplayOptions::default() };
+    let options = ReplayOptions::default().with_kernel(Some(Kernel::huber(1.0).unwrap()));
     let mut replay = Replay::new(&world.document(), &options).unwrap();
     let mut change = Graph::new().change();
     replay.everything(&mut change).unwrap();

@@ -221,7 +221,7 @@ impl World {
 
     /// All at once.
     pub fn batch(&self, initial: Initial) -> Replayer {
-        let options = ReplayOptions { initial, ..ReplayOptions::default() };
+        let options = ReplayOptions::default().with_initial(initial);
         let mut replayer = Replayer::new(&self.document(), &options, Settings::default())
             .unwrap_or_else(|error| panic!("{error}"));
         replayer.everything().unwrap_or_else(|error| panic!("{error}"));

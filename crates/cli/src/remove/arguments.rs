@@ -189,7 +189,7 @@ impl Arguments {
                 );
                 return Err(Error::Usage { command: "remove", message });
             }
-            files::check_output(path, document, WriteOptions { plain: false })?;
+            files::check_output(path, document, WriteOptions::default())?;
         }
         self.common.report.as_deref().map_or(Ok(()), |path: &Path| files::check_writable(path))
     }

@@ -62,7 +62,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     if let Some(path) = &arguments.output {
         let name = path.display().to_string();
         let document = replayer.reduced_document(&name, &reduced, &document)?;
-        let written = files::write_document(path, &document, WriteOptions { plain: false })?;
+        let written = files::write_document(path, &document, WriteOptions::default())?;
         convert::tell(&written, path, output);
     }
     let priors = gauge_factors(&replayer);

@@ -20,6 +20,7 @@ impl fmt::Display for Place {
 
 /// A field of a line.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Field {
     /// The line's tag.
     pub tag: &'static str,

@@ -32,6 +32,7 @@ use crate::record::Record;
 
 /// A format of trajectory files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum TrajectoryFormat {
     /// A time, a position and a quaternion a line.
     Tum,

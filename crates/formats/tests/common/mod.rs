@@ -4,9 +4,11 @@
 
 pub mod lines;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use evergraph_formats::{Document, ReadOptions, WeightKind};
+use evergraph_formats::{Document, Kind, ReadOptions, Record, WeightKind};
+use evergraph_model::{LieGroup, Pose2, Pose3, Value};
 
 /// The folder of shared graphs, or `None` (said aloud) when `EVERGRAPH_DATA` is not set.
 ///
@@ -72,14 +74,30 @@ pub fn names_foreign_poses(path: &Path) -> bool {
 /// How a file has to be read.
 pub fn options(path: &Path) -> ReadOptions {
     let covariance = path.ends_with("victoria_park_gtsam.txt");
-    ReadOptions {
-        lenient: names_foreign_poses(path),
-        isam_matrix: if covariance { WeightKind::Covariance } else { WeightKind::SquareRoot },
-        ..ReadOptions::default()
-    }
+    ReadOptions::default().with_lenient(names_foreign_poses(path)).with_isam_matrix(if covariance {
+        WeightKind::Covariance
+    } else {
+        WeightKind::SquareRoot
+    })
 }
 
 /// Reads a file that is good.
 pub fn read(path: &Path) -> Document {
     Document::read(path, &options(path)).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// The document with its poses at the identity: for dialects that want vertices.
+pub fn with_poses(document: &Document) -> Document {
+    let mut poses = BTreeMap::new();
+    for record in document.records() {
+        if let Record::Edge { from, to, measurement, .. } = record {
+            let value = match measurement.kind() {
+                Kind::Pose2 => Value::new(&Pose2::identity()),
+                _ => Value::new(&Pose3::identity()),
+            };
+            poses.insert(*from, value.clone());
+            poses.insert(*to, value);
+        }
+    }
+    document.with_vertices(poses).unwrap_or_else(|error| panic!("{error}"))
 }

@@ -9,6 +9,12 @@ use crate::factor::Factor;
 use crate::key::{FactorIndex, VariableIndex};
 use crate::user_code::{guarded_factor, guarded_variable};
 
+/// # Evaluation at numbers in dense arrays, for solvers
+///
+/// Embedding programs ask a smoother instead: `Smoother::error_of_factor`, `Smoother::residual_of` and
+/// `Smoother::linearization_of` take ids and use its estimate.
+///
+/// These methods panic on slots that hold nothing and on arrays that are too short.
 impl Graph {
     /// Linearizes the factor in a slot at `values` (laid out by [`value_range`](Self::value_range))
     /// into `out`, `[J₁ … Jₖ | r]` column-major, a block for each of its

@@ -1,5 +1,6 @@
 //! The graph store: variables, factors, who touches whom, and how their numbers are laid out.
 
+mod by_slot;
 mod evaluate;
 mod layout;
 mod saved;
@@ -8,8 +9,6 @@ mod stage;
 pub use saved::{SavedFactor, SavedGraph, SavedVariable};
 pub use stage::Staged;
 
-use std::hash::{Hash, Hasher};
-use std::ops::Range;
 use std::sync::Arc;
 
 use smallvec::SmallVec;
@@ -22,13 +21,15 @@ use crate::ids::{Ids, UsedNumbers};
 use crate::key::{FactorId, FactorIndex, Key, VariableId, VariableIndex, Version};
 use crate::manifold::{Manifold, VariableType};
 use crate::slots::Slots;
-use crate::value::{Value, ValueRef};
 
 /// Variables, factors and adjacency.
 ///
 /// Every object has an id, which is never given twice, and while it lives a dense slot. The numbers
 /// that belong to variables (linearization points, tangent vectors) are kept by the solver, in flat
 /// arrays laid out by [`value_range`](Self::value_range) and [`tangent_range`](Self::tangent_range).
+///
+/// Embedding programs ask by id and alter the graph of a smoother with `Smoother::apply`. The methods
+/// that take a [`VariableIndex`] or [`FactorIndex`], and those that stage a change, are for solvers.
 ///
 /// A clone is an independent graph with the same identity: it understands the ids and the changes
 /// of the original, and neither ever mints an id that the other has minted.
@@ -134,8 +135,6 @@ impl Graph {
     pub fn ids(&self) -> Ids {
         self.ids.clone()
     }
-
-    // --- Questions by id -------------------------------------------------------------------
 
     /// How many variables there are.
     pub fn variable_count(&self) -> usize {
@@ -273,186 +272,6 @@ impl Graph {
 
     fn knows(&self, origin: u64) -> bool {
         self.used.iter().any(|used| used.origin == origin)
-    }
-
-    // --- Questions by slot, for solvers ----------------------------------------------------
-    // These panic on slots that hold nothing: a slot comes from this graph's own lists.
-
-    /// Length of the variable slot array, living or not.
-    #[inline]
-    pub fn variable_slots(&self) -> usize {
-        self.variables.capacity()
-    }
-
-    /// Length of the factor slot array, living or not.
-    #[inline]
-    pub fn factor_slots(&self) -> usize {
-        self.factors.capacity()
-    }
-
-    /// Slots of the living variables, ascending.
-    pub fn variable_indices(&self) -> impl Iterator<Item = VariableIndex> {
-        self.variables.indices().map(VariableIndex::new)
-    }
-
-    /// Slots of the living variables that are not fixed, ascending.
-    pub fn unknown_indices(&self) -> impl Iterator<Item = VariableIndex> {
-        self.variable_indices().filter(|&v| !self.is_fixed_at(v))
-    }
-
-    /// Slots of the living factors, ascending.
-    pub fn factor_indices(&self) -> impl Iterator<Item = FactorIndex> {
-        self.factors.indices().map(FactorIndex::new)
-    }
-
-    /// Whether the variable slot holds a living variable.
-    #[inline]
-    pub fn is_variable_at(&self, index: VariableIndex) -> bool {
-        self.variables.at(index.index()).is_some()
-    }
-
-    /// Whether the factor slot holds a living factor.
-    #[inline]
-    pub fn is_factor_at(&self, index: FactorIndex) -> bool {
-        self.factors.at(index.index()).is_some()
-    }
-
-    /// The id of the variable in a slot.
-    ///
-    /// # Panics
-    /// When the slot holds no living variable.
-    #[inline]
-    pub fn variable_id(&self, index: VariableIndex) -> VariableId {
-        self.variables.id_at(index.index()).expect("the slot holds a living variable")
-    }
-
-    /// The id of the factor in a slot.
-    ///
-    /// # Panics
-    /// When the slot holds no living factor.
-    #[inline]
-    pub fn factor_id(&self, index: FactorIndex) -> FactorId {
-        self.factors.id_at(index.index()).expect("the slot holds a living factor")
-    }
-
-    /// The manifold of the variable in a slot.
-    ///
-    /// # Panics
-    /// When the slot holds no living variable, as all of the following.
-    #[inline]
-    pub fn kind_at(&self, index: VariableIndex) -> &'static VariableType {
-        self.variable(index).kind
-    }
-
-    /// The tangent dimension of the variable in a slot.
-    #[inline]
-    pub fn dim_at(&self, index: VariableIndex) -> usize {
-        self.variable(index).tangent.1 as usize
-    }
-
-    /// Whether the variable in a slot is fixed.
-    #[inline]
-    pub fn is_fixed_at(&self, index: VariableIndex) -> bool {
-        self.variable(index).fixed
-    }
-
-    /// The value of the variable in a slot from its stored numbers.
-    pub fn value(&self, index: VariableIndex, storage: &[f64]) -> Value {
-        Value::from_storage(self.kind_at(index), self.dim_at(index), storage)
-    }
-
-    /// The value of the variable in a slot, which stays where its stored numbers are.
-    pub fn value_ref<'a>(&self, index: VariableIndex, storage: &'a [f64]) -> ValueRef<'a> {
-        ValueRef::from_storage(self.kind_at(index), self.dim_at(index), storage)
-    }
-
-    /// The factors on the variable in a slot, in the order they were added.
-    #[inline]
-    pub fn factors_at(&self, index: VariableIndex) -> &[FactorIndex] {
-        &self.variable(index).factors
-    }
-
-    /// The factor in a slot.
-    #[inline]
-    pub fn factor_at(&self, index: FactorIndex) -> &dyn Factor {
-        &*self.term(index).factor
-    }
-
-    /// The variables of the factor in a slot, in the order of its keys.
-    #[inline]
-    pub fn variables_at(&self, factor: FactorIndex) -> &[VariableIndex] {
-        &self.term(factor).variables
-    }
-
-    /// The variables of the factor in a slot that are not fixed, in the order of its keys.
-    #[inline]
-    pub fn unknowns_at(&self, factor: FactorIndex) -> &[VariableIndex] {
-        self.term(factor).unknowns()
-    }
-
-    /// First column of each unknown's Jacobian block of the factor in a slot, then of its residual.
-    #[inline]
-    pub fn columns_at(&self, factor: FactorIndex) -> &[u32] {
-        self.term(factor).columns()
-    }
-
-    /// Rows of the factor in a slot.
-    #[inline]
-    pub fn rows_at(&self, factor: FactorIndex) -> usize {
-        self.term(factor).rows as usize
-    }
-
-    /// Length of `[J₁ … Jₖ | r]` of the factor in a slot, a block for each of its unknowns.
-    #[inline]
-    pub fn linearization_len(&self, factor: FactorIndex) -> usize {
-        let term = self.term(factor);
-        let columns = term.columns();
-        term.rows as usize * (columns[columns.len() - 1] as usize + 1)
-    }
-
-    /// Length of an array that holds a value for every variable slot.
-    #[inline]
-    pub fn value_len(&self) -> usize {
-        self.value_layout.len as usize
-    }
-
-    /// Length of an array that holds a tangent vector for every variable slot.
-    #[inline]
-    pub fn tangent_len(&self) -> usize {
-        self.tangent_layout.len as usize
-    }
-
-    /// Where the value of the variable in a slot stands.
-    #[inline]
-    pub fn value_range(&self, index: VariableIndex) -> Range<usize> {
-        let (start, len) = self.variable(index).value;
-        start as usize..(start + len) as usize
-    }
-
-    /// Where the tangent vector of the variable in a slot stands.
-    #[inline]
-    pub fn tangent_range(&self, index: VariableIndex) -> Range<usize> {
-        let (start, len) = self.variable(index).tangent;
-        start as usize..(start + len) as usize
-    }
-
-    /// Feeds everything that later results depend on to a hash: slots, layouts, adjacency, versions,
-    /// fixed variables.
-    ///
-    /// Left out, with their reasons: the numbers of ids, which only name; the contents of factors,
-    /// which never change and whose linearizations the solver hashes.
-    pub fn hash_state(&self, hash: &mut impl Hasher) {
-        self.variables.hash_state(hash);
-        self.factors.hash_state(hash);
-        (&self.value_layout, &self.tangent_layout, self.dim, self.unknowns).hash(hash);
-        for index in self.variable_indices() {
-            let Variable { kind, value, tangent, factors, version, fixed } = self.variable(index);
-            (kind.name(), value, tangent, factors.as_slice(), version, fixed).hash(hash);
-        }
-        for index in self.factor_indices() {
-            let Term { variables, columns, rows, .. } = self.term(index);
-            (variables.as_slice(), columns.as_slice(), rows).hash(hash);
-        }
     }
 
     #[inline]

@@ -89,6 +89,11 @@ struct References {
     moved: Vec<VariableIndex>,
 }
 
+/// # Changes in two steps, for solvers
+///
+/// A solver stages a change, updates its own state, and then commits the change or takes it back.
+/// Embedding programs use `Smoother::apply`, which does all of that. A graph without a solver is built
+/// by [`stage`](Self::stage) and [`commit`](Self::commit).
 impl Graph {
     /// Checks a change and, if all of it is good, adds its variables and factors and fixes and
     /// frees variables. What it drops stays until [`commit`](Self::commit).
@@ -134,6 +139,9 @@ impl Graph {
     }
 
     /// Takes a staged change back; the graph is then what it was, bit for bit.
+    ///
+    /// # Panics
+    /// May panic when the change was staged by another graph.
     pub fn unstage(&mut self, staged: Staged) {
         for &(index, fresh) in staged.new_factors.iter().rev() {
             let id = self.factor_id(index);
@@ -166,6 +174,9 @@ impl Graph {
     }
 
     /// Makes a staged change final: drops what is to be dropped and stamps versions.
+    ///
+    /// # Panics
+    /// May panic when the change was staged by another graph.
     pub fn commit(&mut self, staged: Staged) {
         for &(index, _) in &staged.new_factors {
             self.stamp_variables_of(index);

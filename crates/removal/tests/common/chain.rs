@@ -11,7 +11,7 @@ pub fn sigma() -> Noise {
 
 /// A prior and a chain of poses.
 pub fn chain(count: usize) -> (Smoother, Vec<Key<Pose2>>) {
-    let mut smoother = Smoother::new(Settings { threads: 1, ..Settings::default() }).unwrap();
+    let mut smoother = Smoother::new(Settings::default().with_threads(1)).unwrap();
     let mut change = smoother.change();
     let keys: Vec<_> = (0..count)
         .map(|k| change.add_variable(&Pose2::new(k as f64, 0.0, 0.1 * k as f64)))

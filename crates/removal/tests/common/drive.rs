@@ -10,8 +10,7 @@ use super::Draw;
 /// fixes too.
 pub fn drive(count: usize, extras: bool, seed: u64) -> (Smoother, Vec<Key<Pose2>>) {
     let mut draw = Draw::new(seed);
-    let settings =
-        Settings { threads: 1, relinearization: Relinearization::NEVER, ..Settings::default() };
+    let settings = Settings::default().with_threads(1).with_relinearization(Relinearization::NEVER);
     let mut smoother = Smoother::new(settings).unwrap();
     let mut change = smoother.change();
     let side = |k: usize| (k / 3) % 4;
@@ -60,9 +59,8 @@ pub fn drive(count: usize, extras: bool, seed: u64) -> (Smoother, Vec<Key<Pose2>
 
 pub fn optimum(smoother: &mut Smoother) {
     for _ in 0..3 {
-        let report = smoother
-            .optimize(&BatchSettings { relative_decrease: 1e-15, ..Default::default() })
-            .unwrap();
+        let report =
+            smoother.optimize(&BatchSettings::default().with_relative_decrease(1e-15)).unwrap();
         assert!(matches!(report.status, Status::Converged), "{report:?}");
     }
 }
