@@ -106,6 +106,9 @@ fn every_factor_of_the_library_is_measured() {
         for line in text.lines().filter(|line| line.starts_with("impl")) {
             let Some((_, rest)) = line.split_once(" Factor for ") else { continue };
             let name = rest.split(['<', ' ']).next().unwrap();
+            if name == "Conditioned" {
+                continue; // Any factor of the table, with some of its variables given.
+            }
             assert!(
                 names.contains(&name),
                 "{name} is not in the table of crates/factors/src/lib.rs"

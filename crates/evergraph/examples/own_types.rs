@@ -161,10 +161,11 @@ impl SavedMap {
     }
 }
 
-/// Thirty metres with one set of tyres and thirty with another. Returns the poses and the scales.
-pub fn drive(
-    smoother: &mut Smoother,
-) -> Result<(Vec<Key<Pose2>>, [Key<WheelScale>; 2]), Box<dyn Error>> {
+/// The poses of a drive, and the scales of its two sets of tyres.
+pub type Driven = (Vec<Key<Pose2>>, [Key<WheelScale>; 2]);
+
+/// Thirty metres with one set of tyres and thirty with another.
+pub fn drive(smoother: &mut Smoother) -> Result<Driven, Box<dyn Error>> {
     let wheels = Noise::from_sigmas(&[0.02, 0.02, 0.005])?;
     let receiver = Noise::isotropic(2, 0.05)?;
     let true_scales = [1.04, 0.97];

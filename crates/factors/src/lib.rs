@@ -29,7 +29,8 @@
 //!
 //! Constructors refuse what cannot be measured (numbers that are not finite, a noise of another
 //! dimension); the graph refuses variables that a factor does not take. Any factor can stand under
-//! a robust kernel: [`Robust`](evergraph_model::Robust).
+//! a robust kernel, [`Robust`](evergraph_model::Robust), or have some of its variables given,
+//! [`Conditioned`].
 //!
 //! # Example
 //!
