@@ -223,17 +223,9 @@ fn turn<P: Rigid<D>, const D: usize>(
     edges: &[Edge<D>],
     settings: &Settings,
 ) -> Result<(), SmootherError> {
-    let relations: Vec<Relation<D>> = edges
-        .iter()
-        .filter(|edge| edge.rotation_weight > 0.0)
-        .map(|edge| Relation {
-            from: edge.ends[0],
-            to: edge.ends[1],
-            matrix: edge.rotation.transpose(),
-            offset: SVector::zeros(),
-            weight: edge.rotation_weight,
-        })
-        .collect();
+    let relations = relations(edges, |edge| {
+        (edge.rotation.transpose(), SVector::zeros(), edge.rotation_weight)
+    });
     let anchored = anchors(fixed, &relations);
     let mut matrices = vec![SMatrix::<f64, D, D>::zeros(); poses.len()];
     for row in 0..D {
@@ -261,17 +253,10 @@ fn shift<P: Rigid<D>, const D: usize>(
     edges: &[Edge<D>],
     settings: &Settings,
 ) -> Result<(), SmootherError> {
-    let relations: Vec<Relation<D>> = edges
-        .iter()
-        .filter(|edge| edge.translation_weight > 0.0)
-        .map(|edge| Relation {
-            from: edge.ends[0],
-            to: edge.ends[1],
-            matrix: SMatrix::identity(),
-            offset: poses[edge.ends[0]].parts().0 * edge.translation,
-            weight: edge.translation_weight,
-        })
-        .collect();
+    let relations = relations(edges, |edge| {
+        let offset = poses[edge.ends[0]].parts().0 * edge.translation;
+        (SMatrix::identity(), offset, edge.translation_weight)
+    });
     let known: Vec<Option<SVector<f64, D>>> = poses
         .iter()
         .zip(anchors(fixed, &relations))
@@ -281,6 +266,18 @@ fn shift<P: Rigid<D>, const D: usize>(
         *pose = pose.at(translation);
     }
     Ok(())
+}
+
+/// The relation of each edge, from its matrix, offset and weight; edges without a weight give none.
+fn relations<const D: usize>(
+    edges: &[Edge<D>],
+    terms: impl Fn(&Edge<D>) -> (SMatrix<f64, D, D>, SVector<f64, D>, f64),
+) -> Vec<Relation<D>> {
+    let relation = |edge: &Edge<D>| {
+        let (matrix, offset, weight) = terms(edge);
+        Relation { from: edge.ends[0], to: edge.ends[1], matrix, offset, weight }
+    };
+    edges.iter().map(relation).filter(|relation| relation.weight > 0.0).collect()
 }
 
 /// The poses that stay: what is fixed, and the first of each connected part in which nothing is.

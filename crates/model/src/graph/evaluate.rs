@@ -5,6 +5,7 @@ use smallvec::SmallVec;
 use super::{Graph, Partial, Term};
 use crate::arguments::{Arguments, Linearization};
 use crate::error::GraphError;
+use crate::factor::Factor;
 use crate::key::{FactorIndex, VariableIndex};
 use crate::user_code::{guarded_factor, guarded_variable};
 
@@ -50,11 +51,9 @@ impl Graph {
         out: &mut [f64],
     ) -> Result<(), GraphError> {
         out.fill(0.0);
-        self.with_arguments(term, values, |arguments| {
-            guarded_factor(self.factor_id(factor), &*term.factor, || {
-                let mut linearization = Linearization::new(term.rows as usize, &term.columns, out);
-                term.factor.linearize(arguments, &mut linearization);
-            })
+        self.evaluate(factor, values, |factor, arguments| {
+            let mut linearization = Linearization::new(term.rows as usize, &term.columns, out);
+            factor.linearize(arguments, &mut linearization);
         })
     }
 
@@ -69,12 +68,7 @@ impl Graph {
         values: &[f64],
         out: &mut [f64],
     ) -> Result<(), GraphError> {
-        let term = self.term(factor);
-        self.with_arguments(term, values, |arguments| {
-            guarded_factor(self.factor_id(factor), &*term.factor, || {
-                term.factor.residual(arguments, out);
-            })
-        })
+        self.evaluate(factor, values, |factor, arguments| factor.residual(arguments, out))
     }
 
     /// The term of the objective of the factor in a slot at `values`.
@@ -82,13 +76,10 @@ impl Graph {
     /// # Errors
     /// [`GraphError::FactorPanicked`].
     pub fn factor_error(&self, factor: FactorIndex, values: &[f64]) -> Result<f64, GraphError> {
-        let term = self.term(factor);
-        with_scratch(term.rows as usize, 0.0, |residual: &mut [f64]| {
-            self.with_arguments(term, values, |arguments| {
-                guarded_factor(self.factor_id(factor), &*term.factor, || {
-                    term.factor.residual(arguments, residual);
-                    term.factor.error(residual)
-                })
+        with_scratch(self.rows_at(factor), 0.0, |residual: &mut [f64]| {
+            self.evaluate(factor, values, |factor, arguments| {
+                factor.residual(arguments, residual);
+                factor.error(residual)
             })
         })
     }
@@ -123,17 +114,21 @@ impl Graph {
         }
     }
 
-    fn with_arguments<R>(
+    /// Calls the factor in a slot with its arguments out of `values`.
+    fn evaluate<R>(
         &self,
-        term: &Term,
+        index: FactorIndex,
         values: &[f64],
-        f: impl FnOnce(&Arguments<'_>) -> R,
-    ) -> R {
+        call: impl FnOnce(&dyn Factor, &Arguments<'_>) -> R,
+    ) -> Result<R, GraphError> {
+        let term = self.term(index);
         with_scratch(term.variables.len(), &values[..0], |storages| {
             for (storage, &variable) in storages.iter_mut().zip(&term.variables) {
                 *storage = &values[self.value_range(variable)];
             }
-            f(&Arguments::new(storages))
+            guarded_factor(self.factor_id(index), &*term.factor, || {
+                call(&*term.factor, &Arguments::new(storages))
+            })
         })
     }
 }
