@@ -10,7 +10,7 @@ use crate::estimate_cache::Estimates;
 use crate::smoother::Smoother;
 
 /// Back-substitutes only what is asked for, which suits a few nodes of a large map. For many nodes
-/// [`Smoother::estimates`] or [`Smoother::kept_estimates`] cost less, but have no linearization points.
+/// [`Smoother::estimates`] or [`Smoother::cached_estimates`] cost less, but have no linearization points.
 impl belief::Estimates for Smoother {
     fn estimate(&self, variable: VariableId) -> Result<Value, GraphError> {
         self.estimate_value(variable).map_err(|error| of_graph(error, &[variable]))

@@ -14,14 +14,14 @@ use crate::error::FactorError;
 pub trait Residual<const ROWS: usize>: Debug + Send + Sync + 'static {
     /// The types of the variables, a tuple of one to four: `(Pose2, Point2)`, `(Pose3,)`.
     /// A vector of `N` parameters ([`VectorN`](evergraph_model::VectorN)) is
-    /// [`Parameters<N>`](Parameters).
+    /// [`Parameters<N>`](super::Parameters).
     type Variables: Variables;
 
     /// The factor's name in messages.
     const NAME: &'static str;
 
     /// The error in the units of the measurement, not whitened. In an implementation, name the
-    /// types that the variables have here ([`Variable::Lifted`]), as in the
+    /// types that the variables have here ([`Variable::Lifted`](super::Variable::Lifted)), as in the
     /// [example](crate::autodiff).
     ///
     /// Where the error has no derivative (a root or a distance at zero) the result may be no

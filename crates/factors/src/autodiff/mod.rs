@@ -2,7 +2,7 @@
 //!
 //! Write the error once, for any [`Number`] `T`, in terms of [`Transform2`], [`Transform3`],
 //! [`Rotation2`], [`Rotation3`] and nalgebra's vectors; [`AutoDiff`] makes a
-//! [`Factor`] of it. Its Jacobian is exact: the error is evaluated on dual numbers `a + b ε` with
+//! [`Factor`](evergraph_model::Factor) of it. Its Jacobian is exact: the error is evaluated on dual numbers `a + b ε` with
 //! `ε² = 0` (forward-mode automatic differentiation), once per tangent component of the variables.
 //! A variable `x` enters as `x Exp(d)` to first order in `d`, which is all that a derivative at
 //! `d = 0` sees.

@@ -65,7 +65,7 @@ impl Document {
     }
 
     /// [`from_graph`](Self::from_graph) with the caller's ids and values, such as the ids of a
-    /// [`Replay`](crate::Replay) and the estimates of a smoother.
+    /// replayed document and the estimates of a smoother.
     ///
     /// # Errors
     /// Those, and [`FormatError::NotGiven`] when an id is missing, [`FormatError::Duplicate`] when
