@@ -89,6 +89,7 @@ impl Change {
     }
 
     /// Whether the change drops a factor.
+    #[must_use]
     pub fn drops_factor(&self, factor: FactorId) -> bool {
         self.dropped.contains(&factor)
     }
@@ -164,6 +165,7 @@ impl Change {
 
     /// Whether it adds, drops, moves, fixes and frees nothing. Required versions do not count:
     /// they decide whether a change is applied, not what it does.
+    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.new_variables.is_empty()
             && self.new_factors.is_empty()
@@ -175,41 +177,49 @@ impl Change {
     }
 
     /// The variables that it adds, with their initial values.
+    #[must_use]
     pub fn new_variables(&self) -> &[(VariableId, Value)] {
         &self.new_variables
     }
 
     /// The factors that it adds.
+    #[must_use]
     pub fn new_factors(&self) -> &[(FactorId, Arc<dyn Factor>)] {
         &self.new_factors
     }
 
     /// The factors that it drops.
+    #[must_use]
     pub fn dropped_factors(&self) -> &[FactorId] {
         &self.drop_factors
     }
 
     /// The variables that it drops.
+    #[must_use]
     pub fn dropped_variables(&self) -> &[VariableId] {
         &self.drop_variables
     }
 
     /// The linearization points that it moves.
+    #[must_use]
     pub fn moves(&self) -> &[(VariableId, Value)] {
         &self.moves
     }
 
     /// The variables that it fixes.
+    #[must_use]
     pub fn fixes(&self) -> &[VariableId] {
         &self.fixes
     }
 
     /// The variables that it frees.
+    #[must_use]
     pub fn frees(&self) -> &[VariableId] {
         &self.frees
     }
 
     /// The versions that it requires.
+    #[must_use]
     pub fn requires(&self) -> &[(VariableId, Version)] {
         &self.requires
     }

@@ -204,12 +204,14 @@ impl Default for Options {
 
 impl Options {
     /// The exact removal: one factor per blanket, no tree.
+    #[must_use]
     pub fn dense() -> Self {
         Self { topology: Topology::Dense, ..Self::default() }
     }
 
     /// Equations 1 to 9 of the GLC paper to the letter: offset zero, coordinates of equation 5, mutual
     /// information undamped.
+    #[must_use]
     pub fn paper() -> Self {
         Self {
             offset: Offset::Zero,
@@ -221,6 +223,7 @@ impl Options {
 
     /// iSAM 1.7's variants where they differ from the paper: the root pose itself as a coordinate,
     /// mutual information from `ln det(Λ + I)`, an absolute tolerance of 1e-8.
+    #[must_use]
     pub fn isam() -> Self {
         Self {
             offset: Offset::Zero,

@@ -53,6 +53,7 @@ impl Plan {
     }
 
     /// The steps, in the order in which they are done.
+    #[must_use]
     pub fn steps(&self) -> &[Step] {
         &self.steps
     }
@@ -67,33 +68,39 @@ impl Plan {
     ///
     /// Exact for a single step. Of several, each step's is that of the map which the steps before it
     /// near by have left; divergences do not add up exactly.
+    #[must_use]
     pub fn price(&self) -> Option<f64> {
         self.steps.iter().map(|step| step.price).sum()
     }
 
     /// What the removal changes the error by: the error of the full graph, the removed nodes at
     /// their best, is at the estimate of the others that of the reduced graph plus this.
+    #[must_use]
     pub fn constant(&self) -> f64 {
         self.steps.iter().map(|step| step.constant).sum()
     }
 
     /// Degrees of freedom that go with the constant: rows less dimensions, before less after.
+    #[must_use]
     pub fn degrees_of_freedom(&self) -> i64 {
         self.steps.iter().map(|step| step.degrees_of_freedom).sum()
     }
 
     /// The factors of the graph that the change drops, by slot: those absorbed and those rejected.
+    #[must_use]
     pub fn dropped(&self) -> &[(FactorId, Arc<dyn Factor>)] {
         &self.dropped
     }
 
     /// All factors that the steps make, also those that a later step absorbs. Places are the numbers in
     /// [`Source::Planned`].
+    #[must_use]
     pub fn planned(&self) -> &[PlannedFactor] {
         &self.planned
     }
 
     /// The factor behind an entry of [`Step::absorbed`] or [`Step::rejected`]; `None` for a source of another plan.
+    #[must_use]
     pub fn factor(&self, source: Source) -> Option<&Arc<dyn Factor>> {
         match source {
             Source::Graph(id) => {

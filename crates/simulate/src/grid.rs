@@ -44,6 +44,7 @@ pub struct Grid {
 impl Grid {
     /// The kind of world that Olson's M3500 is: short blocks, closures with any heading, 0.022 m and
     /// rad of noise. 0.6 closures a pose at 10⁴ poses; 0.8 at 10⁶, where walks cross more often.
+    #[must_use]
     pub fn manhattan(poses: u32, seed: u64) -> Self {
         let sigmas = [1.0 / 2000.0_f64.sqrt(); 3];
         Self {
@@ -67,6 +68,7 @@ impl Grid {
 
     /// The kind of world that city10000 is: longer streets, 0.02 m and 0.01 rad of noise. 1.1
     /// closures a pose at 10⁴ poses; 1.6 at 10⁶.
+    #[must_use]
     pub fn city(poses: u32, seed: u64) -> Self {
         let sigmas = [0.02, 0.02, 0.01];
         Self {

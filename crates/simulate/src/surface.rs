@@ -48,6 +48,7 @@ pub struct Surface {
 impl Surface {
     /// The kind of world that sphere2500 is: as many rings as there are poses in one, 1 m from pose
     /// to pose at the equator, one closure a pose, with the ring below.
+    #[must_use]
     pub fn sphere(poses: u32, seed: u64) -> Self {
         let ring = ring(poses, 1.0);
         let radius = f64::from(ring) / (2.0 * PI);
@@ -64,6 +65,7 @@ impl Surface {
 
     /// A torus with the kind of motion and noise that the torus data sets have: 1 m from pose to
     /// pose, one closure a pose, with the ring before.
+    #[must_use]
     pub fn torus(poses: u32, seed: u64) -> Self {
         let ring = ring(poses, 0.5);
         let minor = f64::from(ring) / (2.0 * PI);

@@ -38,6 +38,7 @@ impl<'a> Estimates<'a> {
     /// # Errors
     /// [`SmootherError::Graph`] for a key that is removed or foreign, or whose variable has another
     /// type.
+    #[allow(clippy::missing_panics_doc, reason = "the type was checked")]
     pub fn get<V: Manifold>(&self, key: Key<V>) -> Result<V, SmootherError> {
         let key = self.graph.key::<V>(key.id())?;
         Ok(self.value(key)?.get().expect("the type was checked"))

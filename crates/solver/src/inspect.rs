@@ -103,11 +103,11 @@ impl Smoother {
             for j in 0..clique.numeric.layout.frontal() {
                 let column = column_of[scalars[j]];
                 let row = clique.numeric.row(j);
-                let (rhs, row) = row.split_last().expect("a row ends with the right-hand side");
-                for (&scalar, &x) in scalars[j..].iter().zip(row) {
+                let rhs = row.len() - 1; // a row ends with the right-hand side
+                for (&scalar, &x) in scalars[j..].iter().zip(&row[..rhs]) {
                     system.factor.push((column, column_of[scalar], x));
                 }
-                system.rhs[column] = *rhs;
+                system.rhs[column] = row[rhs];
             }
         }
         let delta = solve::all(self.engine.instructions, graph, tree);

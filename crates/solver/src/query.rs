@@ -35,6 +35,7 @@ impl Smoother {
     /// # Errors
     /// [`SmootherError::Graph`] for a key that is removed or foreign, or whose variable has another
     /// type, and when the code of the variable's type fails.
+    #[allow(clippy::missing_panics_doc, reason = "the type was checked")]
     pub fn estimate<V: Manifold>(&self, key: Key<V>) -> Result<V, SmootherError> {
         // A key that was read back may claim any type.
         let key = self.graph().key::<V>(key.id())?;

@@ -66,6 +66,7 @@ const fn interval(n: u32) -> NonZeroU32 {
 impl Fluid {
     /// A check for variables beyond `threshold`, every `every` changes, that moves those beyond
     /// `share` of it.
+    #[must_use]
     pub const fn new(threshold: f64, share: f64, every: NonZeroU32) -> Self {
         Self { threshold, share, every }
     }
@@ -126,6 +127,7 @@ impl Relinearization {
     pub const NEVER: Self = Self { fluid: None, ..Self::FLUID };
 
     /// Only a batch step to convergence every `n` changes.
+    #[must_use]
     pub const fn every(n: NonZeroU32) -> Self {
         Self { batch: Some(n), ..Self::NEVER }
     }
