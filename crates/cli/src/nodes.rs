@@ -1,6 +1,6 @@
 //! Which nodes go.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -48,7 +48,11 @@ impl Choice {
     /// Who can go, and how many of them.
     pub(crate) fn candidates(&self, replayer: &Replayer) -> Result<Candidates, Error> {
         let replay = replayer.replay();
-        let is_gauge = |variable| replay.gauge_priors().iter().any(|it| it.variable == variable);
+        let fixed: HashSet<VariableId> = replay.fixed().map(|(_, variable)| variable).collect();
+        let is_gauge = |variable| {
+            let mut priors = replay.gauge_priors().iter();
+            fixed.contains(&variable) || priors.any(|prior| prior.variable == variable)
+        };
         if let Some(path) = &self.nodes {
             let nodes = read_list(path, replayer, is_gauge)?;
             return Ok(Candidates { count: nodes.len(), nodes });
@@ -106,7 +110,8 @@ fn read_list(
         })?;
         if is_gauge(variable) {
             return Err(refused(format!(
-                "{name} holds the gauge of {file} and cannot be removed; FIX another pose there"
+                "{name} is fixed or holds the gauge of {file} and cannot be removed; leave it out of \
+                 the list, or FIX another pose there"
             )));
         }
         if let Some(first) = lines.insert(variable, at) {

@@ -146,6 +146,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         peak_rss_mb,
     };
     let mut report = Report::new(&replayer, run)?;
+    report.add("order", replayer.replay().order().to_string());
     report.add("updates", driven.updates.len());
     report.add("batches", driven.batches);
     if let Some((batch, took)) = &batch {
@@ -162,7 +163,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     report.save(common.report.as_deref())?;
     outcome?;
     warn(&replayer, &driven, output);
-    output.result(&report.table(&in_words(&report, cut, &batch)))
+    let mut rows = report.table(&in_words(&report, cut, &batch));
+    rows.add("order", replayer.replay().order());
+    output.result(&rows)
 }
 
 fn read(arguments: &Arguments) -> Result<(Document, String), Error> {
@@ -255,8 +258,11 @@ fn warn(replayer: &Replayer, driven: &Driven, output: Output) {
     }
     warn_of_landmarks(replayer, output);
     for prior in replayer.replay().gauge_priors() {
-        let why = if prior.fixed { "FIX" } else { "first of its component" };
-        info!("gauge prior on pose {} ({why}), sigma {}", spell_id(prior.id), prior.sigma);
+        info!(
+            "gauge prior on pose {} (first of its component), sigma {}",
+            spell_id(prior.id),
+            prior.sigma
+        );
     }
 }
 

@@ -161,9 +161,8 @@ struct Gauge {
     directions: usize,
     /// Of all of them.
     error: f64,
-    /// One for each connected component, or for each FIX.
+    /// One for each connected component that needs one.
     variables: Vec<u64>,
-    fixed: bool,
 }
 
 /// What `replay` and `optimize` report.
@@ -180,6 +179,8 @@ pub(crate) struct Report {
     error: f64,
     chi2: f64,
     gauge_prior: Option<Gauge>,
+    /// Variables that FIX lines hold.
+    fixed: usize,
     time: Times,
     relinearizations: usize,
     factor_nnz: usize,
@@ -226,7 +227,6 @@ impl Report {
             directions: first.directions,
             error: gauge_error,
             variables: priors.iter().map(|prior| prior.id).collect(),
-            fixed: first.fixed,
         });
         let in_graph = |variable| graph.check_variable(variable).is_ok();
         let replay = replayer.replay();
@@ -245,6 +245,7 @@ impl Report {
             error,
             chi2,
             gauge_prior,
+            fixed: replay.fixed().count(),
             time: run.time,
             relinearizations: run.relinearizations,
             factor_nnz: size.nonzeros,
@@ -306,6 +307,9 @@ impl Report {
             Some(gauge) => rows.add("gauge prior", gauge.describe()),
             None => rows.add("gauge prior", "none"),
         }
+        if self.fixed > 0 {
+            rows.add("fixed (FIX)", self.fixed);
+        }
         let time = self.time;
         rows.add("update time", time.update());
         if self.command == "replay" {
@@ -331,13 +335,12 @@ impl Gauge {
             [one] => format!("pose {}", spell_id(*one)),
             many => format!("{} poses, pose {} first", many.len(), spell_id(self.variable)),
         };
-        let why = if self.fixed { " (FIX)" } else { "" };
         let (sigma, error) = (number(self.sigmas[0]), number(self.error));
         let part = match self.directions {
             free if free < self.sigmas.len() => format!(", {free} free directions of it"),
             _ => String::new(),
         };
-        format!("on {on}{why}{part}, sigma {sigma} m and rad, error {error} (not in the above)")
+        format!("on {on}{part}, sigma {sigma} m and rad, error {error} (not in the above)")
     }
 }
 

@@ -161,15 +161,11 @@ impl File<'_> {
         }
     }
 
-    /// What is fixed: poses that are there.
+    /// Fixed vertices exist.
     fn check_fix(&self, line: &Line, kinds: &Kinds) -> Result<(), FormatError> {
         let Record::Fix { id } = line.record else { return Ok(()) };
         match kinds.get(id, true).or(kinds.get(id, false)) {
-            Some(kind) if kind.is_pose() => Ok(()),
-            Some(kind) => {
-                let (used, actual) = ("pose that holds the gauge", kind.name());
-                Err(FormatError::WrongKind { place: self.place(line), id, used, actual })
-            }
+            Some(_) => Ok(()),
             None => Err(FormatError::MissingVertex { place: self.place(line), id }),
         }
     }

@@ -86,7 +86,7 @@ pub enum Record {
         /// `EDGE_SE3_TRACKXYZ`: id of the sensor offset.
         parameter: Option<u64>,
     },
-    /// `FIX`: the variable that holds the gauge.
+    /// `FIX`: a vertex that stays where it is. It names the pose where a landmark has the same id.
     Fix {
         /// The file's id.
         id: u64,

@@ -9,7 +9,7 @@ use evergraph_model::{
 use nalgebra::{DMatrix, DVector, Vector3};
 use smallvec::SmallVec;
 
-use crate::gauge::{Gauge, scales};
+use crate::gauge::{Gauge, MotionInformation, scales};
 use crate::geometry::Geometry;
 use crate::minimize::{Quadratic, minimize};
 
@@ -19,6 +19,13 @@ struct Tie {
     factor: Arc<dyn Factor>,
     /// Each variable, and whether it moves; the others stand still.
     ends: SmallVec<[(Geometry, bool); 2]>,
+}
+
+/// Whitened rows of a factor by small motions of a [`Body`].
+struct Rows {
+    jacobian: DMatrix<f64>,
+    /// By column, the size of the numbers that it is a difference of.
+    size: DVector<f64>,
 }
 
 /// A variable of a factor, seen from a [`Body`].
@@ -129,7 +136,7 @@ impl Body {
 
     /// The directions in which the body can be moved, and how many of them its factors leave free.
     pub fn gauge(&self) -> Gauge {
-        Gauge::of_motion(&self.information())
+        Gauge::of(&self.information())
     }
 
     fn dim(&self) -> usize {
@@ -169,11 +176,17 @@ impl Body {
         self.descend(&every, best?.0).map(|(motion, _)| motion)
     }
 
-    /// The information of the factors about small motions of the body, `(x, y, theta)` or
-    /// `(x, y, z, rx, ry, rz)` about its center: 3 × 3 or 6 × 6.
-    pub fn information(&self) -> DMatrix<f64> {
-        let every: Vec<&Tie> = self.ties.iter().collect();
-        self.at(&every, &self.unmoved()).information
+    /// The information of the factors about small motions of the body about its center.
+    pub fn information(&self) -> MotionInformation {
+        let mut sum = MotionInformation::none(self.planar);
+        let unmoved = self.unmoved();
+        for tie in &self.ties {
+            // A factor that cannot be evaluated informs nothing.
+            if let Some(rows) = self.linearize(tie, &unmoved, &mut LinearizedFactor::default()) {
+                sum.add(&rows.jacobian, &rows.size);
+            }
+        }
+        sum
     }
 
     fn descend(&self, ties: &[&Tie], start: Geometry) -> Option<(Geometry, Quadratic)> {
@@ -189,28 +202,49 @@ impl Body {
     fn at(&self, ties: &[&Tie], motion: &Geometry) -> Quadratic {
         let mut sum = Quadratic::zeros(self.dim());
         let mut linearized = LinearizedFactor::default();
-        let center = self.center_at(motion);
         for tie in ties {
-            let places: SmallVec<[Geometry; 2]> = tie
-                .ends
-                .iter()
-                .map(|(at, moves)| at.moved(motion).filter(|_| *moves).unwrap_or(*at))
-                .collect();
-            let values: SmallVec<[Value; 2]> = places.iter().map(Geometry::value).collect();
-            let values: SmallVec<[ValueRef<'_>; 2]> = values.iter().map(Value::as_ref).collect();
-            if linearized.set(&*tie.factor, &values).is_err() {
-                sum.spoil();
-                continue;
+            match self.linearize(tie, motion, &mut linearized) {
+                Some(rows) => sum.add(&rows.jacobian, &linearized),
+                None => sum.spoil(),
             }
-            let mut jacobian = DMatrix::zeros(tie.factor.residual_dim(), self.dim());
-            for (position, (place, (_, moves))) in places.iter().zip(&tie.ends).enumerate() {
-                if *moves {
-                    jacobian += linearized.jacobian(position) * place.by_world_motion(&center);
-                }
-            }
-            sum.add(&jacobian, &linearized);
         }
         sum
+    }
+
+    /// A factor after `motion`, by small motions about the center as it is then; `None` when it cannot be
+    /// evaluated.
+    fn linearize(
+        &self,
+        tie: &Tie,
+        motion: &Geometry,
+        linearized: &mut LinearizedFactor,
+    ) -> Option<Rows> {
+        let places: SmallVec<[Geometry; 2]> = tie
+            .ends
+            .iter()
+            .map(|(at, moves)| at.moved(motion).filter(|_| *moves).unwrap_or(*at))
+            .collect();
+        let values: SmallVec<[Value; 2]> = places.iter().map(Geometry::value).collect();
+        let values: SmallVec<[ValueRef<'_>; 2]> = values.iter().map(Value::as_ref).collect();
+        linearized.set(&*tie.factor, &values).ok()?;
+        let center = self.center_at(motion);
+        let mut jacobian = DMatrix::zeros(tie.factor.residual_dim(), self.dim());
+        let mut size = DVector::zeros(self.dim());
+        for (position, (place, (_, moves))) in places.iter().zip(&tie.ends).enumerate() {
+            if *moves {
+                let by_value = linearized.jacobian(position);
+                let by_motion = by_value * place.by_world_motion(&center);
+                let translations = self.dim() / 3;
+                let far = place.position().norm() + center.norm();
+                for (k, column) in by_motion.column_iter().enumerate() {
+                    // The lever arm of a turn is a difference of positions.
+                    let turn = if k > translations { far * by_value.norm() } else { 0.0 };
+                    size[k] += column.norm() + turn;
+                }
+                jacobian += by_motion;
+            }
+        }
+        Some(Rows { jacobian, size })
     }
 
     fn center_at(&self, motion: &Geometry) -> Vector3<f64> {

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use evergraph_formats::{Document, Record};
+use evergraph_formats::Document;
 use evergraph_model::{Graph, Value, VariableId};
 use evergraph_solver::{Settings, SmootherError};
 
@@ -43,13 +43,7 @@ pub fn chordal(
     let mut replay = Replay::new(document, &options)?;
     let mut change = Graph::new().change();
     replay.everything(&mut change)?;
-    let fixed: HashSet<VariableId> = document
-        .records()
-        .filter_map(|record| match record {
-            Record::Fix { id } => replay.pose(*id),
-            _ => None,
-        })
-        .collect();
+    let fixed: HashSet<VariableId> = replay.fixed().map(|(_, variable)| variable).collect();
     let factors = change.new_factors().iter().map(|(_, factor)| &**factor);
     let found = evergraph_initialize::chordal(change.new_variables(), factors, &fixed, settings);
     let found = found.map_err(|source| ReplayerError::Chordal {
@@ -57,7 +51,11 @@ pub fn chordal(
         source: Box::new(source),
     })?;
     // Variables come in in the order of their ids' arrival.
-    Ok(replay.ids().zip(found).map(|((id, _), (_, value))| (id, value)).collect())
+    let starts = replay.ids().zip(change.new_variables()).zip(found);
+    let start = |(((id, variable), (_, given)), (_, found)): ((_, &(_, Value)), _)| {
+        (id, if fixed.contains(&variable) { given.clone() } else { found })
+    };
+    Ok(starts.map(start).collect())
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ use crate::order::Link;
 use crate::state::Replay;
 
 impl Replay {
-    /// Takes vertices, fixed poses, and every factor.
+    /// Takes vertices, fixed ones among them, and every factor.
     pub(crate) fn gather(&mut self, document: &Document) -> Result<(), ReplayerError> {
         let sensors = sensors(document);
         for line in document.lines() {
@@ -35,8 +35,9 @@ impl Replay {
                     continue;
                 }
                 Record::Fix { id } => {
-                    let node = self.places.get(&(*id, true)).ok_or_else(|| missing(*id))?;
-                    self.fixed[*node] = true;
+                    let pose = self.places.get(&(*id, true));
+                    let node = pose.or_else(|| self.places.get(&(*id, false)));
+                    self.fixed[*node.ok_or_else(|| missing(*id))?] = true;
                     continue;
                 }
                 Record::Edge { measurement, weight, parameter, .. } => {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use evergraph_factors::Prior;
 use evergraph_formats::Quantity;
-use evergraph_initialize::{Body, End, Gauge, hold};
+use evergraph_initialize::{Body, End, Gauge, MotionInformation, hold};
 use evergraph_model::{Change, Noise};
 use nalgebra::{DMatrix, DVector};
 use smallvec::SmallVec;
@@ -14,7 +14,7 @@ use crate::geometry::{Geometry, Handle, bad, origin, point};
 use crate::known::Known;
 use crate::observation::Observed;
 use crate::options::{GaugePrior, Initial};
-use crate::order::Planned;
+use crate::order::{Arrival, Planned};
 use crate::state::Replay;
 
 /// The parts of a step that nothing places by odometry, by their first pose.
@@ -30,6 +30,13 @@ pub(crate) struct Bodies {
 struct Part {
     nodes: Vec<usize>,
     links: Vec<usize>,
+}
+
+/// How many directions of a component the steps so far leave free, and known only coarsely.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Freedom {
+    free: usize,
+    coarse: usize,
 }
 
 impl Bodies {
@@ -73,7 +80,7 @@ impl Replay {
     }
 
     /// Components with a measurement that is not purely relative, or one of a known landmark. Those
-    /// with a FIX are held by that.
+    /// with a fixed pose are held by that.
     fn components_that_may_be_held(&mut self) -> Vec<usize> {
         let planned = self.steps.iter().flat_map(|step| &step.arrivals);
         let mut is_planned = vec![false; self.nodes.len()];
@@ -82,6 +89,7 @@ impl Replay {
         for (link, observation) in self.links.iter().zip(&self.observations) {
             let first = link.ends[0];
             held[self.component[first]] |= !observation.what.is_relative();
+            held[self.component[first]] |= link.ends.iter().any(|&end| self.fixed[end]);
             if let Observed::Quantity { quantity: Quantity::Prior, numbers, noise, .. } =
                 &observation.what
                 && !self.nodes[first].kind.is_pose()
@@ -97,7 +105,10 @@ impl Replay {
             }
         }
         for node in (0..self.nodes.len()).filter(|&node| self.fixed[node]) {
-            held[self.component[node]] = false;
+            self.anchors[node] = self.vertices[node];
+            if self.nodes[node].kind.is_pose() {
+                held[self.component[node]] = false;
+            }
         }
         (0..self.nodes.len()).filter(|&component| held[component]).collect()
     }
@@ -112,29 +123,37 @@ impl Replay {
             return Ok(());
         };
         let Some((_, origin)) = self.starts[first] else { return Ok(()) };
-        let mut information = DMatrix::zeros(origin.value().dim(), origin.value().dim());
-        let mut known = Vec::with_capacity(members.len());
+        let mut information = MotionInformation::none(origin.is_planar());
+        let mut known: Vec<Freedom> = Vec::with_capacity(members.len());
         for &at in members {
+            if let Some(now @ Freedom { free: 0, coarse: 0 }) = known.last().copied() {
+                known.push(now);
+                continue;
+            }
             let mut body = Body::new(&origin);
             let mut tied = false;
             for &link in steps[at].links.iter().chain(&steps[at].waiting) {
                 tied |= self.tie(&mut body, link, |node| {
                     Ok(match (self.starts[node], self.anchors[node]) {
-                        (Some((_, start)), _) => Some(End::Moving(start)),
-                        (None, anchor) => anchor.map(End::Standing),
+                        (Some((_, start)), _) if !self.fixed[node] => Some(End::Moving(start)),
+                        (_, anchor) => anchor.map(End::Standing),
                     })
                 })?;
             }
             if tied {
-                information += body.information();
+                information.merge(&body.information());
             }
-            known.push(Gauge::of(&information).map_or(information.nrows(), |gauge| gauge.free()));
+            let gauge = Gauge::of(&information);
+            known.push(Freedom { free: gauge.free(), coarse: gauge.coarsely_free() });
         }
-        let free = known.last().copied().unwrap_or(information.nrows());
-        if free == information.nrows() {
+        let Some(end) = known.last().copied() else { return Ok(()) };
+        let free = end.free;
+        if free == origin.value().dim() {
             return Ok(());
         }
-        let reached = known.iter().position(|&now| now == free).unwrap_or(0);
+        // Not before start values are as good as they get: a heading that rests on the noise of a few
+        // positions would be a bad one to linearize at.
+        let reached = known.iter().position(|now| *now == end).unwrap_or(0);
         let mut whole = Planned::default();
         for &at in &members[..=reached] {
             whole.append(std::mem::take(&mut steps[at]));
@@ -179,7 +198,8 @@ impl Replay {
         // By node, the body that it is part of.
         let mut body_of: BTreeMap<usize, usize> = BTreeMap::new();
         let mut parts: Vec<Part> = Vec::new();
-        for arrival in &step.arrivals {
+        let moving = |arrival: &&Arrival| !self.fixed[arrival.node];
+        for arrival in step.arrivals.iter().filter(moving) {
             let body = match arrival.along {
                 None => {
                     parts.push(Part::default());
@@ -226,6 +246,9 @@ impl Replay {
                 })),
                 None if self.handles[node].is_some() => {
                     Ok(Some(End::Standing(self.known(node, link, known)?)))
+                }
+                None if self.fixed[node] => {
+                    Ok(self.starts[node].map(|(_, start)| End::Standing(start)))
                 }
                 None => Ok(self.anchors[node].map(End::Standing)),
             })?;
@@ -291,7 +314,6 @@ impl Replay {
             let factor = hold(&free, handle.id(), &start, sigma);
             (change.add_factor(factor.map_err(|error| bad(&place, error))?), free.ncols())
         } else {
-            // Without a vertex, a fixed pose is held where it starts.
             let at = self.vertices[pose].unwrap_or(start);
             let noise = Noise::isotropic(kind.dim(), sigma).map_err(|e| bad(&place, e))?;
             let factor = match (handle, at) {
@@ -305,7 +327,7 @@ impl Replay {
             };
             (factor.map_err(|error| bad(&place, error))?, kind.dim())
         };
-        let (variable, fixed) = (handle.id(), self.fixed[pose]);
-        Ok(Some(GaugePrior { id, variable, factor, sigma, dim: kind.dim(), directions, fixed }))
+        let (variable, dim) = (handle.id(), kind.dim());
+        Ok(Some(GaugePrior { id, variable, factor, sigma, dim, directions }))
     }
 }

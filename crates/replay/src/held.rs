@@ -80,6 +80,9 @@ impl Replay {
         again: bool,
         known: &mut Known<'_, '_>,
     ) -> Result<Option<Geometry>, ReplayerError> {
+        if let Some(vertex) = self.vertices[landmark].filter(|_| self.fixed[landmark]) {
+            return Ok(Some(vertex));
+        }
         let Some(held) = self.held.get_mut(&landmark) else { return Ok(None) };
         let pending = std::mem::take(&mut held.pending);
         let (usable, pending): (Vec<usize>, Vec<usize>) =
@@ -138,9 +141,12 @@ impl Replay {
         self.held.keys().map(|&node| self.nodes[node].id)
     }
 
-    /// Adds a variable at its start.
+    /// Adds a variable at its start, fixed if the file says so.
     pub(crate) fn bring_in(&mut self, node: usize, start: Geometry, change: &mut Change) -> Handle {
         let handle = Handle::add(&start, change);
+        if self.fixed[node] {
+            change.fix(handle.id());
+        }
         self.handles[node] = Some(handle);
         self.starts[node] = Some((self.order.len(), start));
         self.order.push(node);

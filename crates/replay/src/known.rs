@@ -27,6 +27,7 @@ impl Replay {
     ) -> Result<(), ReplayerError> {
         for (at, &arrival) in arrivals.iter().enumerate() {
             let start = match (self.options.initial, self.vertices[arrival.node]) {
+                (_, Some(vertex)) if self.fixed[arrival.node] => vertex,
                 (Initial::FromFile, Some(vertex)) => vertex,
                 _ => self.composed(arrival, known)?,
             };

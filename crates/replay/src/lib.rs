@@ -64,7 +64,7 @@ pub use audit::{Audit, AuditSample};
 pub use chordal::chordal;
 pub use error::ReplayerError;
 pub use objective::Objective;
-pub use options::{GaugePrior, Initial, ReplayOptions, Step, StepKind};
+pub use options::{GaugePrior, Initial, Order, ReplayOptions, Step, StepKind};
 pub use overview::{Component, Overview};
 pub use replayer::{Replayed, Replayer};
 pub use state::Replay;

@@ -1,5 +1,7 @@
 //! Options of a replay, and the description of a step.
 
+use std::fmt;
+
 use evergraph_model::{FactorId, Kernel, VariableId};
 
 /// Where the start value of a new variable comes from.
@@ -60,6 +62,32 @@ impl ReplayOptions {
     }
 }
 
+/// The order in which a document is replayed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Order {
+    /// By time stamps.
+    Times,
+    /// By lines: each pose comes with the lines up to the next new pose.
+    Lines,
+    /// By ids, as the dialect has no order: pose k comes with every edge whose larger pose is k.
+    Ids,
+    /// By ids although the dialect has an order: most loop closures stand behind poses that were added
+    /// after both of their ends, so that the lines are not in the order of recording.
+    IdsForLateEdges,
+}
+
+impl fmt::Display for Order {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Times => "by time stamps",
+            Self::Lines => "by lines",
+            Self::Ids => "by ids",
+            Self::IdsForLateEdges => "by ids: most loop closures stand behind later poses",
+        })
+    }
+}
+
 /// What a step does to the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
@@ -87,8 +115,6 @@ pub struct GaugePrior {
     /// How many directions of the pose it holds: all, or those that absolute measurements leave
     /// free.
     pub directions: usize,
-    /// Whether a FIX line put it there.
-    pub fixed: bool,
 }
 
 /// What a step's change holds.

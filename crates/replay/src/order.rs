@@ -6,6 +6,7 @@ use evergraph_formats::Kind;
 use smallvec::SmallVec;
 
 use crate::components::Components;
+use crate::options::Order;
 
 /// A variable of the file.
 #[derive(Clone, Copy, Debug)]
@@ -51,7 +52,7 @@ pub(crate) struct Planned {
     pub links: Vec<usize>,
     /// Links that wait for landmarks which no sighting brings in.
     pub waiting: Vec<usize>,
-    /// Poses that get a gauge prior, and how many directions of it are free.
+    /// Poses that get a gauge prior, and how many of their directions are free.
     pub gauge: Vec<(usize, usize)>,
     /// Whether a link closes a cycle, other than by repeating the one that the pose came in by.
     pub closes: bool,
@@ -80,6 +81,47 @@ pub(crate) enum By {
     Line,
 }
 
+impl From<Order> for By {
+    fn from(order: Order) -> Self {
+        match order {
+            Order::Ids | Order::IdsForLateEdges => Self::Id,
+            Order::Lines | Order::Times => Self::Line,
+        }
+    }
+}
+
+/// The order of a file, from its content. `has_order` says whether lines of its dialect are written as
+/// they are recorded.
+pub(crate) fn order_of(links: &[Link], nodes: usize, has_order: bool) -> Order {
+    if links.iter().any(|link| link.time.is_some()) {
+        return Order::Times;
+    }
+    if !has_order {
+        return Order::Ids;
+    }
+    let (late, closures) = late_closures(links, nodes);
+    if 2 * late > closures { Order::IdsForLateEdges } else { Order::Lines }
+}
+
+/// Of the edges between poses that name no new pose: those after which a robot would have gone on, since
+/// neither end is the newest pose at their line; and all of them.
+fn late_closures(links: &[Link], nodes: usize) -> (usize, usize) {
+    let mut is_known = vec![false; nodes];
+    let (mut newest, mut late, mut closures) = (None, 0, 0);
+    for link in links.iter().filter(|link| link.ties == Ties::Poses) {
+        let new: SmallVec<[usize; 2]> =
+            link.ends.iter().copied().filter(|&end| !is_known[end]).collect();
+        if let Some(&last) = new.last() {
+            newest = Some(last);
+            new.iter().for_each(|&end| is_known[end] = true);
+        } else {
+            closures += 1;
+            late += usize::from(!link.ends.iter().any(|&end| Some(end) == newest));
+        }
+    }
+    (late, closures)
+}
+
 /// The links in the order of a file that is in time order, or has times: odometry comes before what
 /// is measured at the pose that it brings in.
 fn in_time_order(links: &[Link]) -> Vec<usize> {
@@ -94,7 +136,7 @@ fn in_time_order(links: &[Link]) -> Vec<usize> {
     order
 }
 
-/// Plans the whole file. `nodes` are sorted by id; `fixed` says which poses FIX lines name.
+/// Plans the whole file. `nodes` are sorted by id; `fixed` says which of them FIX lines name.
 pub(crate) fn plan(nodes: &[Node], links: &[Link], fixed: &[bool], by: By) -> Vec<Planned> {
     let mut planner = Planner::new(nodes, links, fixed, by);
     match by {
@@ -112,7 +154,7 @@ struct Planner<'a> {
     fixed: &'a [bool],
     by: By,
     /// Connected component of each node, landmarks included; and by component, whether a pose of it
-    /// is fixed and whether one is present.
+    /// is fixed, and whether one is present.
     component: Vec<usize>,
     has_fixed: Vec<bool>,
     started: Vec<bool>,
@@ -133,7 +175,8 @@ impl<'a> Planner<'a> {
     fn new(nodes: &'a [Node], links: &'a [Link], fixed: &'a [bool], by: By) -> Self {
         let component = components(nodes.len(), links);
         let mut has_fixed = vec![false; nodes.len()];
-        (0..nodes.len()).filter(|&n| fixed[n]).for_each(|n| has_fixed[component[n]] = true);
+        let fixed_poses = (0..nodes.len()).filter(|&n| fixed[n] && nodes[n].kind.is_pose());
+        fixed_poses.for_each(|n| has_fixed[component[n]] = true);
         let mut before = vec![None; nodes.len()];
         let mut last = None;
         for (n, _) in nodes.iter().enumerate().filter(|(_, node)| node.kind.is_pose()) {
@@ -245,7 +288,7 @@ impl<'a> Planner<'a> {
             let component = self.component[pose];
             let mut step = Planned::default();
             step.arrivals.push(Arrival { node: pose, along: None });
-            if self.fixed[pose] || !self.started[component] {
+            if !self.started[component] && !self.has_fixed[component] {
                 step.gauge.push((pose, self.nodes[pose].kind.dim()));
             }
             self.started[component] = true;

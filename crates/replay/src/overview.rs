@@ -100,7 +100,7 @@ fn name(record: &Record) -> String {
             format!("edges to a {}", measurement.kind().name())
         }
         Record::Edge { measurement, .. } => format!("sightings of a {}", measurement.kind().name()),
-        Record::Fix { .. } => "fixed poses".into(),
+        Record::Fix { .. } => "fixed vertices".into(),
         Record::SensorOffset { .. } => "sensor offsets".into(),
         Record::GeodeticOrigin { .. } => "geodetic origins".into(),
         Record::Linear(_) => "linear factors".into(),

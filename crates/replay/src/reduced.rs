@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use evergraph_formats::{Document, Line, Record};
+use evergraph_formats::{Document, Record};
 use evergraph_model::VariableId;
 use evergraph_solver::Smoother;
 
@@ -12,8 +12,8 @@ use crate::replayer::Replayer;
 impl Replayer {
     /// The graph of a smoother from which variables of this replay were removed, with the estimates as its
     /// vertices, in the ids of the file. Gauge priors are left out, as the file has none; a replay of the
-    /// new document puts them where they were. FIX lines and the geodetic origin of `original`, the document
-    /// that is replayed, are kept.
+    /// new document puts them where they were. The geodetic origin of `original`, the document that is
+    /// replayed, is kept.
     ///
     /// # Errors
     /// [`ReplayerError::Format`] for factors that no file can hold, [`ReplayerError::Graph`] when `reduced`
@@ -26,11 +26,9 @@ impl Replayer {
     ) -> Result<Document, ReplayerError> {
         let mut graph = reduced.graph().clone();
         let mut change = graph.change();
-        let mut fixed = Vec::new();
         for prior in self.replay().gauge_priors() {
             if graph.check_factor(prior.factor).is_ok() {
                 change.drop_factor(prior.factor);
-                fixed.extend(prior.fixed.then_some(Line::from(Record::Fix { id: prior.id })));
             }
         }
         let staged = graph.stage(&change)?;
@@ -46,7 +44,7 @@ impl Replayer {
         )?;
         let origins = original.lines().iter();
         let origins = origins.filter(|line| matches!(line.record, Record::GeodeticOrigin { .. }));
-        let lines = origins.cloned().chain(document.lines().iter().cloned()).chain(fixed);
+        let lines = origins.cloned().chain(document.lines().iter().cloned());
         Ok(Document::from_records(name, document.dialect(), lines)?)
     }
 }

@@ -302,7 +302,7 @@ impl Replayer {
             Record::Edge { .. } | Record::Measurement(_) | Record::Linear(_) => {
                 lines.contains(&line.number)
             }
-            Record::Fix { id } => whole || self.replay.pose(*id).is_some(),
+            Record::Fix { id } => whole || self.replay.variable(*id).is_some(),
             Record::SensorOffset { .. } | Record::GeodeticOrigin { .. } => true,
         };
         Ok(document.part_with_vertices(keep, vertices)?)

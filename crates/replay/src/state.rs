@@ -8,14 +8,15 @@ use evergraph_model::{FactorId, VariableId};
 
 use crate::geometry::{Geometry, Handle};
 use crate::observation::Observation;
-use crate::options::{GaugePrior, ReplayOptions};
+use crate::options::{GaugePrior, Order, ReplayOptions};
 use crate::order::{Link, Node, Planned};
 
 /// The steps of a document, one new pose each.
 ///
 /// **Order.** In a g2o file, which has no time, pose k (by id) arrives with every edge whose larger
 /// pose is k. TORO and iSAM files are in time order: a step is one new pose and every line up to the
-/// next new pose. Where lines have times they are sorted by them, odometry first among equals. Edges
+/// next new pose. They are replayed by id, too, where most loop closures stand behind later poses
+/// ([`order`](Self::order)). Where lines have times they are sorted by them, odometry first among equals. Edges
 /// to landmarks belong to their pose. A pose without an edge to a pose that is present, and not the
 /// first of its connected component, is held back with its edges until an edge connects it. A linear
 /// factor on poses counts as an edge if it leaves their relative poses no freedom. Any other
@@ -41,11 +42,13 @@ use crate::order::{Link, Node, Planned};
 /// as a whole to where its measurements of the world and of what is there fit best.
 ///
 /// **Gauge.** The first pose of each connected component gets a prior at its vertex, or at the
-/// origin if it has none. FIX moves it: the component then begins with a fixed pose, and every
-/// fixed pose gets a prior at its vertex. Where absolute measurements hold a component there is
-/// none, and where they hold it in part the prior is for the other directions. A direction counts as
-/// held when it is known to 1000 m or 0.5 rad. Until what is held in the end is held, the steps of
-/// the component come as one: a robot that only knows its positions has no heading before it moves.
+/// origin if it has none. Absolute measurements and fixed landmarks inform some directions; the prior
+/// is for the others, and there is none if no direction is left ([`Gauge`](evergraph_initialize::Gauge)).
+/// Steps of a component are joined until all directions that are known in the end are known: a robot
+/// that only knows its positions has no heading before it moves.
+///
+/// **FIX.** A fixed variable, pose or landmark, stays at its vertex ([`Change::fix`](evergraph_model::Change::fix)); without a vertex
+/// it stays where it starts. A component with fixed poses begins with one of them and has no gauge prior.
 ///
 /// ```
 /// use evergraph_formats::{Document, ReadOptions};
@@ -81,11 +84,12 @@ pub struct Replay {
     /// Where each variable stands among the nodes, by id and whether it is a pose.
     pub(crate) places: HashMap<(u64, bool), usize>,
     pub(crate) links: Vec<Link>,
+    pub(crate) recorded: Order,
     /// What each link is.
     pub(crate) observations: Vec<Observation>,
     /// The connected component of each node, named by one of its members.
     pub(crate) component: Vec<usize>,
-    /// Landmarks whose place a prior gives, and nothing else does.
+    /// Landmarks whose place a prior gives, and nothing else does; fixed variables at their vertices.
     pub(crate) anchors: Vec<Option<Geometry>>,
     /// Variables of no graph, to evaluate factors on.
     pub(crate) scratch: Vec<Handle>,
@@ -125,6 +129,11 @@ impl Replay {
         self.steps.len()
     }
 
+    /// The order of the steps.
+    pub fn order(&self) -> Order {
+        self.recorded
+    }
+
     /// Whether there are no steps; never so, since a document without poses has no replay.
     pub fn is_empty(&self) -> bool {
         self.steps.is_empty()
@@ -153,6 +162,12 @@ impl Replay {
     /// The gauge priors so far.
     pub fn gauge_priors(&self) -> &[GaugePrior] {
         &self.priors
+    }
+
+    /// The ids of the fixed variables that have been added, in the order of arrival, and the variables.
+    pub fn fixed(&self) -> impl Iterator<Item = (u64, VariableId)> {
+        let fixed = self.order.iter().filter(|&&node| self.fixed[node]);
+        fixed.filter_map(|&node| Some((self.nodes[node].id, self.handles[node]?.id())))
     }
 
     /// The file's factors so far, with their lines, in the order they came in.

@@ -8,8 +8,8 @@ use evergraph_model::{Change, Graph, Noise, Value, VariableId};
 
 use crate::error::ReplayerError;
 use crate::geometry::{Handle, origin, slot};
-use crate::options::{ReplayOptions, Step};
-use crate::order::{self, By, Node};
+use crate::options::{Order, ReplayOptions, Step};
+use crate::order::{self, Node};
 use crate::state::Replay;
 
 impl Replay {
@@ -49,6 +49,7 @@ impl Replay {
             fixed: vec![false; count],
             links: Vec::new(),
             observations: Vec::new(),
+            recorded: Order::Lines,
             component: Vec::new(),
             anchors: vec![None; count],
             steps: Vec::new(),
@@ -61,10 +62,10 @@ impl Replay {
             factors: Vec::new(),
         };
         replay.gather(document)?;
-        let has_times = replay.links.iter().any(|link| link.time.is_some());
-        let by = if document.dialect() == Dialect::G2o && !has_times { By::Id } else { By::Line };
+        let has_order = document.dialect() != Dialect::G2o;
+        replay.recorded = order::order_of(&replay.links, count, has_order);
         replay.component = order::components(count, &replay.links);
-        replay.steps = order::plan(&replay.nodes, &replay.links, &replay.fixed, by);
+        replay.steps = order::plan(&replay.nodes, &replay.links, &replay.fixed, replay.recorded.into());
         replay.settle_gauge()?;
         Ok(replay)
     }

@@ -78,7 +78,7 @@ impl Document {
     ) -> Result<Self, FormatError> {
         let file: Arc<str> = name.into();
         let mut exporter = Exporter::default();
-        let mut vertices = Vec::new();
+        let (mut vertices, mut fixed) = (Vec::new(), Vec::new());
         for variable in graph.variables() {
             let not_given =
                 |what| FormatError::NotGiven { file: Arc::clone(&file), what, variable };
@@ -92,6 +92,9 @@ impl Document {
             })?;
             exporter.ends.insert(variable, (id, at.kind()));
             vertices.push(Line::from(Record::Vertex { id, at }));
+            if graph.is_fixed(variable).unwrap_or(false) {
+                fixed.push(Line::from(Record::Fix { id }));
+            }
         }
         let mut lines = Vec::new();
         for (_, factor) in graph.factors() {
@@ -105,6 +108,6 @@ impl Document {
         let sensors = exporter.sensors.iter().map(|sensor| settle::coordinates(quaternion(sensor)));
         let offsets =
             (0..).zip(sensors).map(|(id, at)| Line::from(Record::SensorOffset { id, at }));
-        Self::from_records(name, Dialect::G2o, offsets.chain(vertices).chain(lines))
+        Self::from_records(name, Dialect::G2o, offsets.chain(vertices).chain(lines).chain(fixed))
     }
 }

@@ -269,7 +269,11 @@ fn factor_block<S: Simd, const W: usize>(
     });
     let length = below[0].len();
     for i in 0..length {
-        let mut x: [S::f64s; W] = std::array::from_fn(|j| below[j][i]);
+        // A loop: `array::from_fn` stays a call unless crates are optimized together.
+        let mut x = [simd.splat_f64s(0.0); W];
+        for j in 0..W {
+            x[j] = below[j][i];
+        }
         for j in 0..W {
             x[j] = simd.mul_f64s(x[j], simd.splat_f64s(inverse[j]));
             for k in j + 1..W {
