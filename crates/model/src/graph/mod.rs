@@ -94,10 +94,12 @@ struct Partial {
 }
 
 impl Term {
+    #[inline]
     fn unknowns(&self) -> &[VariableIndex] {
         self.partial.as_ref().map_or(&self.variables, |partial| &partial.unknowns)
     }
 
+    #[inline]
     fn columns(&self) -> &[u32] {
         self.partial.as_ref().map_or(&self.columns, |partial| &partial.columns)
     }
