@@ -11,7 +11,7 @@ use serde_json::json;
 use crate::error::Error;
 use crate::options::{Common, Reading, Solving, StartFrom};
 use crate::outputs::Outputs;
-use crate::replay::warn_of_landmarks;
+use crate::replay::{warn_of_landmarks, warn_of_weak_priors};
 use crate::report::{self, Report, Run, Status, Times};
 use crate::table::number;
 
@@ -165,6 +165,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     outputs.write(&replayer, &document, &report, None, output)?;
     report.save(common.report.as_deref())?;
     warn_of_landmarks(&replayer, output);
+    warn_of_weak_priors(&replayer, output);
     let mut rows = report.table(&format!("{words} after {} iterations", batch.iterations));
     rows.add("initial error", initial_error.map_or_else(String::new, number));
     rows.add("gradient norm", format!("{:.3e} (largest component of J^T r)", batch.gradient_norm));

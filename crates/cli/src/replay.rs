@@ -257,12 +257,26 @@ fn warn(replayer: &Replayer, driven: &Driven, output: Output) {
         ));
     }
     warn_of_landmarks(replayer, output);
+    warn_of_weak_priors(replayer, output);
     for prior in replayer.replay().gauge_priors() {
         info!(
             "gauge prior on pose {} (first of its component), sigma {}",
             spell_id(prior.id),
             prior.sigma
         );
+    }
+}
+
+/// Directions that nothing measures.
+pub(crate) fn warn_of_weak_priors(replayer: &Replayer, output: Output) {
+    for prior in replayer.replay().gauge_priors().iter().filter(|prior| prior.weak) {
+        let (id, count) = (spell_id(prior.id), prior.directions);
+        let directions = if count == 1 { "1 direction" } else { &format!("{count} directions") };
+        output.warn(&format!(
+            "no measurement determines {directions} of the part that begins with pose {id}; a weak prior \
+             (sigma {} m and rad) keeps it near its start",
+            prior.sigma
+        ));
     }
 }
 

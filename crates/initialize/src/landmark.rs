@@ -14,12 +14,35 @@ use crate::hint::Hint;
 use crate::minimize::{Quadratic, minimize};
 use crate::rigid::sample;
 
-/// Largest standard deviation of a landmark, as a share of the distance to the nearest
-/// observer: beyond, bearings and ranges are too far from linear over the region that it may be in.
-const PARALLAX: f64 = 0.3;
+/// How sure a position of a landmark has to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Certainty {
+    /// The largest standard deviation is below 0.3 of the distance to the nearest variable that sees it:
+    /// over a larger region bearings and ranges are too far from linear. No other position fits within a
+    /// chi2 of 9. For a landmark that more measurements may come for.
+    Sure,
+    /// The same with 1 of the distance, and a chi2 of 1: for a landmark of which all measurements are there.
+    Likely,
+}
 
-/// How much better, in chi2, the best place has to be than any other: three standard deviations.
-const UNIQUE: f64 = 9.0;
+impl Certainty {
+    /// Largest standard deviation, as a share of the distance to the nearest observer.
+    fn parallax(self) -> f64 {
+        match self {
+            Self::Sure => 0.3,
+            Self::Likely => 1.0,
+        }
+    }
+
+    /// How much better, in chi2, a position has to fit than any other.
+    fn margin(self) -> f64 {
+        match self {
+            Self::Sure => 9.0,
+            Self::Likely => 1.0,
+        }
+    }
+}
 
 /// Largest mean square of a whitened residual that passes for drift of the poses.
 const PLAUSIBLE: f64 = 25.0;
@@ -116,11 +139,11 @@ impl Sighting {
 ///
 /// A landmark counts as placed when
 ///
-/// - its largest standard deviation is below 0.3 of the distance to the nearest variable that sees it
-///   (parallax), or below 1000 m where a measurement gives its position outright;
+/// - its largest standard deviation is as small as `certainty` demands, or below 1000 m where a measurement
+///   gives its position outright;
 /// - the fit is plausible: residuals are up to five times their noise, which then counts as that much
 ///   larger;
-/// - no other position fits as well, within a chi2 of 9. Ranges from along a line fit two positions.
+/// - no other position fits as well. Ranges from along a line fit two positions.
 ///
 /// The starts of the search lie along the first bearing and all around the first range. O(n) per start
 /// for n measurements, of which 200 choose the start.
@@ -129,7 +152,7 @@ impl Sighting {
 /// use std::sync::Arc;
 ///
 /// use evergraph_factors::Bearing2;
-/// use evergraph_initialize::{Sighting, place_landmark};
+/// use evergraph_initialize::{Certainty, Sighting, place_landmark};
 /// use evergraph_model::{Graph, Noise, Point2, Pose2, Value};
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// let mut change = Graph::new().change();
@@ -142,31 +165,35 @@ impl Sighting {
 /// let ahead = Arc::new(Bearing2::new(a, light, std::f64::consts::FRAC_PI_4, noise.clone())?);
 /// let left = Arc::new(Bearing2::new(b, light, std::f64::consts::FRAC_PI_2, noise)?);
 /// let mut sightings = vec![Sighting::new(ahead, light.id(), known).ok_or("a bearing of it")?];
-/// assert_eq!(place_landmark::<Point2>(&sightings), None); // a single direction places nothing
+/// assert_eq!(place_landmark::<Point2>(&sightings, Certainty::Sure), None); // a single direction places nothing
 /// sightings.push(Sighting::new(left, light.id(), known).ok_or("a bearing of it")?);
-/// let at = place_landmark::<Point2>(&sightings).ok_or("two directions do")?;
+/// let at: Point2 = place_landmark(&sightings, Certainty::Sure).ok_or("two directions do")?;
 /// assert!((at.x() - 2.0).abs() < 1e-6 && (at.y() - 2.0).abs() < 1e-6);
 /// # Ok(())
 /// # }
 /// ```
-pub fn place_landmark<L: Landmark>(sightings: &[Sighting]) -> Option<L> {
+pub fn place_landmark<L: Landmark>(sightings: &[Sighting], certainty: Certainty) -> Option<L> {
     /// Measurements to choose between the starts with.
     const SAMPLE: usize = 200;
     let problem = Problem::<L>::new(sightings.iter().collect());
     let start = match problem.known() {
         Some(at) => at,
-        None => Problem::<L>::new(sample(sightings, SAMPLE)).only_minimum()?,
+        None => Problem::<L>::new(sample(sightings, SAMPLE)).only_minimum(certainty)?,
     };
     let (at, end) = problem.descend(start)?;
     let spread = problem.spread(end.error);
     let plausible = problem.known().is_some() || spread <= PLAUSIBLE;
-    (plausible && problem.determines(&at, spread)).then(|| L::at(&at))
+    (plausible && problem.determines(&at, spread, certainty)).then(|| L::at(&at))
 }
 
 /// Whether the measurements of a landmark determine its position, by the parallax at `at`: the first
 /// condition of [`place_landmark`], for a landmark whose position is known from elsewhere.
-pub fn determines_landmark<L: Landmark>(sightings: &[Sighting], at: &L) -> bool {
-    Problem::<L>::new(sightings.iter().collect()).determines(&at.position(), 1.0)
+pub fn determines_landmark<L: Landmark>(
+    sightings: &[Sighting],
+    at: &L,
+    certainty: Certainty,
+) -> bool {
+    Problem::<L>::new(sightings.iter().collect()).determines(&at.position(), 1.0, certainty)
 }
 
 struct Problem<'a, L> {
@@ -191,15 +218,15 @@ impl<'a, L: Landmark> Problem<'a, L> {
         })
     }
 
-    fn determines(&self, at: &Vector3<f64>, spread: f64) -> bool {
+    fn determines(&self, at: &Vector3<f64>, spread: f64, certainty: Certainty) -> bool {
         self.deviation(at).is_some_and(|deviation| {
-            let bound = self.known().map_or(PARALLAX * self.nearest(at), |_| KNOWN);
+            let bound = self.known().map_or(certainty.parallax() * self.nearest(at), |_| KNOWN);
             deviation * spread.sqrt() < bound
         })
     }
 
     /// The least-squares place, unless another place is as good.
-    fn only_minimum(&self) -> Option<Vector3<f64>> {
+    fn only_minimum(&self, certainty: Certainty) -> Option<Vector3<f64>> {
         let mut minima: Vec<(Vector3<f64>, f64)> = Vec::new();
         for start in self.starts() {
             minima.extend(self.descend(start).map(|(at, end)| (at, 2.0 * end.error)));
@@ -207,7 +234,7 @@ impl<'a, L: Landmark> Problem<'a, L> {
         let (best, chi2) = *minima.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
         let apart = 0.01 * self.nearest(&best);
         let rival = |(at, other): &(Vector3<f64>, f64)| {
-            (at - best).norm() > apart && other - chi2 < UNIQUE * self.spread(0.5 * chi2)
+            (at - best).norm() > apart && other - chi2 < certainty.margin() * self.spread(0.5 * chi2)
         };
         (!minima.iter().any(rival)).then_some(best)
     }

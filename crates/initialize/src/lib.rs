@@ -48,5 +48,5 @@ pub use chordal::chordal;
 pub use compose::compose;
 pub use gauge::{Gauge, MotionInformation, hold};
 pub use geometry::Geometry;
-pub use landmark::{Landmark, Sighting, determines_landmark, place_landmark};
+pub use landmark::{Certainty, Landmark, Sighting, determines_landmark, place_landmark};
 pub use rigid::{Body, End};

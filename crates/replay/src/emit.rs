@@ -50,6 +50,9 @@ impl Replay {
         for &(pose, free) in &step.gauge {
             gauge_priors.extend(self.add_gauge_prior(pose, bodies.free(pose, free), change)?);
         }
+        for (pose, free) in bodies.unmeasured() {
+            gauge_priors.extend(self.add_weak_prior(*pose, free, change)?);
+        }
         self.priors.extend_from_slice(&gauge_priors);
         let closes = step.closes || freed.closes;
         Ok(Step {

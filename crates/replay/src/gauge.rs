@@ -14,15 +14,21 @@ use crate::geometry::{Geometry, Handle, bad, origin, point};
 use crate::known::Known;
 use crate::observation::Observed;
 use crate::options::{GaugePrior, Initial};
-use crate::order::{Arrival, Planned};
+use crate::order::{Arrival, Node, Planned};
 use crate::state::Replay;
+
+/// Standard deviation (m, rad) of a prior on directions that no factor informs.
+const WEAK: f64 = 1.0;
 
 /// The parts of a step that nothing places by odometry, by their first pose.
 #[derive(Default)]
 pub(crate) struct Bodies {
     /// First pose, and its directions as [`Gauge`] gives them, in its own tangent.
     directions: Vec<(usize, DMatrix<f64>)>,
-    undetermined: bool,
+    /// Those that nothing before them determines, by their number.
+    undetermined: Vec<usize>,
+    /// Of those, the first pose and the directions of its tangent that no factor informs at all.
+    free: Vec<(usize, DMatrix<f64>)>,
 }
 
 /// One of them: its nodes, the first pose first, and the links that touch it.
@@ -42,13 +48,18 @@ struct Freedom {
 impl Bodies {
     /// Whether what is there already holds each of them, but for those with a gauge prior.
     pub fn are_determined(&self) -> bool {
-        !self.undetermined
+        self.undetermined.is_empty()
     }
 
     /// The `free` least held directions of a first pose; `None` if that is all of them.
     pub fn free(&self, pose: usize, free: usize) -> Option<DMatrix<f64>> {
         let (_, directions) = self.directions.iter().find(|(first, _)| *first == pose)?;
         (free < directions.ncols()).then(|| directions.columns(0, free).into_owned())
+    }
+
+    /// First poses of bodies that are not determined, with the directions that no factor informs.
+    pub fn unmeasured(&self) -> &[(usize, DMatrix<f64>)] {
+        &self.free
     }
 }
 
@@ -222,24 +233,35 @@ impl Replay {
         for (body, part) in parts.iter().enumerate() {
             self.place_body((body, part), step, &body_of, known, &mut bodies)?;
         }
+        for &body in &bodies.undetermined {
+            let part = &parts[body];
+            let Some((first, body)) = self.tied(body, part, parts.len(), &body_of, known)? else {
+                continue;
+            };
+            let (gauge, start) = (body.gauge(), self.starts[first].map(|(_, start)| start));
+            let directions = start.and_then(|start| gauge.in_tangent_of(&start));
+            let free = directions.map(|all| all.columns(0, gauge.free()).into_owned());
+            bodies.free.extend(free.filter(|it| it.ncols() > 0).map(|it| (first, it)));
+        }
         Ok(bodies)
     }
 
-    fn place_body(
-        &mut self,
-        (this, part): (usize, &Part),
-        step: &Planned,
+    /// A part with all that ties it to variables that are known, to the first `placed` parts among them;
+    /// and its first pose.
+    fn tied(
+        &self,
+        this: usize,
+        part: &Part,
+        placed: usize,
         body_of: &BTreeMap<usize, usize>,
         known: &mut Known<'_, '_>,
-        bodies: &mut Bodies,
-    ) -> Result<(), ReplayerError> {
-        let Some(&first) = part.nodes.first() else { return Ok(()) };
-        let Some((_, origin)) = self.starts[first] else { return Ok(()) };
+    ) -> Result<Option<(usize, Body)>, ReplayerError> {
+        let Some(&first) = part.nodes.first() else { return Ok(None) };
+        let Some((_, origin)) = self.starts[first] else { return Ok(None) };
         let mut body = Body::new(&origin);
         for &link in &part.links {
             self.tie(&mut body, link, |node| match body_of.get(&node) {
-                // Bodies after this one are not placed yet.
-                Some(&other) if other > this => Ok(None),
+                Some(&other) if other >= placed => Ok(None),
                 Some(&other) => Ok(self.starts[node].map(|(_, start)| match other == this {
                     true => End::Moving(start),
                     false => End::Standing(start),
@@ -253,6 +275,21 @@ impl Replay {
                 None => Ok(self.anchors[node].map(End::Standing)),
             })?;
         }
+        Ok(Some((first, body)))
+    }
+
+    fn place_body(
+        &mut self,
+        (this, part): (usize, &Part),
+        step: &Planned,
+        body_of: &BTreeMap<usize, usize>,
+        known: &mut Known<'_, '_>,
+        bodies: &mut Bodies,
+    ) -> Result<(), ReplayerError> {
+        let Some((first, mut body)) = self.tied(this, part, this + 1, body_of, known)? else {
+            return Ok(());
+        };
+        let Some((_, origin)) = self.starts[first] else { return Ok(()) };
         let members = || part.nodes.iter().copied();
         let from_file = self.options.initial == Initial::FromFile
             && members().any(|node| self.vertices[node].is_some());
@@ -269,7 +306,9 @@ impl Replay {
         }
         let Some((_, origin)) = self.starts[first] else { return Ok(()) };
         let freedom = body.gauge();
-        bodies.undetermined |= !freedom.is_fixed() && gauge(first).is_none();
+        if !freedom.is_fixed() && gauge(first).is_none() {
+            bodies.undetermined.push(this);
+        }
         bodies.directions.extend(freedom.in_tangent_of(&origin).map(|it| (first, it)));
         Ok(())
     }
@@ -328,6 +367,24 @@ impl Replay {
             (factor.map_err(|error| bad(&place, error))?, kind.dim())
         };
         let (variable, dim) = (handle.id(), kind.dim());
-        Ok(Some(GaugePrior { id, variable, factor, sigma, dim, directions }))
+        Ok(Some(GaugePrior { id, variable, factor, sigma, dim, directions, weak: false }))
+    }
+
+    /// Adds a prior on directions of a pose that no factor informs; they stay about where they start.
+    pub(crate) fn add_weak_prior(
+        &self,
+        pose: usize,
+        free: &DMatrix<f64>,
+        change: &mut Change,
+    ) -> Result<Option<GaugePrior>, ReplayerError> {
+        let (Some(_), Some(handle), Some((_, start))) =
+            (self.options.prior, self.handles[pose], self.starts[pose])
+        else {
+            return Ok(None);
+        };
+        let (variable, Node { id, kind }) = (handle.id(), self.nodes[pose]);
+        let factor = hold(free, variable, &start, WEAK).map_err(|e| bad(&self.place(None), e))?;
+        let (factor, dim, directions) = (change.add_factor(factor), kind.dim(), free.ncols());
+        Ok(Some(GaugePrior { id, variable, factor, sigma: WEAK, dim, directions, weak: true }))
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use evergraph_formats::Kind;
-use evergraph_initialize::{Landmark, Sighting, determines_landmark, place_landmark};
+use evergraph_initialize::{Certainty, Landmark, Sighting, determines_landmark, place_landmark};
 use evergraph_model::{Change, Point2, Point3, Value, VariableId};
 use smallvec::SmallVec;
 
@@ -77,7 +77,7 @@ impl Replay {
     fn try_to_place(
         &mut self,
         landmark: usize,
-        again: bool,
+        last: bool,
         known: &mut Known<'_, '_>,
     ) -> Result<Option<Geometry>, ReplayerError> {
         if let Some(vertex) = self.vertices[landmark].filter(|_| self.fixed[landmark]) {
@@ -92,7 +92,7 @@ impl Replay {
         held.pending = pending;
         let count = held.usable.len();
         let seen = || held.usable.iter().any(|&link| self.links[link].ends.len() > 1);
-        if count < held.next_try && !again || !seen() {
+        if count < held.next_try && !last || !seen() {
             return Ok(None);
         }
         held.next_try = count + 1 + if count < 20 { 0 } else { count / 4 };
@@ -100,10 +100,11 @@ impl Replay {
         for &link in self.held.get(&landmark).map_or(&[][..], |held| &held.usable) {
             sights.push(self.sighting(link, landmark, known)?);
         }
+        let certainty = if last { Certainty::Likely } else { Certainty::Sure };
         let vertex = self.vertices[landmark].filter(|_| self.options.initial == Initial::FromFile);
         Ok(match self.nodes[landmark].kind {
-            Kind::Point2 => place::<Point2>(&sights, vertex.as_ref()),
-            Kind::Point3 => place::<Point3>(&sights, vertex.as_ref()),
+            Kind::Point2 => place::<Point2>(&sights, vertex.as_ref(), certainty),
+            Kind::Point3 => place::<Point3>(&sights, vertex.as_ref(), certainty),
             Kind::Pose2 | Kind::Pose3 => None,
         })
     }
@@ -154,12 +155,16 @@ impl Replay {
     }
 }
 
-/// The position of a landmark, if its measurements determine it. With a `vertex` that is taken, and only
-/// whether the measurements determine it is asked.
-fn place<L: Landmark>(sights: &[Sighting], vertex: Option<&Geometry>) -> Option<Geometry> {
+/// The position of a landmark, if its measurements determine it. A `vertex` is its position if there is
+/// one, and measurements only have to determine it.
+fn place<L: Landmark>(
+    sights: &[Sighting],
+    vertex: Option<&Geometry>,
+    certainty: Certainty,
+) -> Option<Geometry> {
     if let Some(vertex) = vertex {
         let at: L = vertex.value().get()?;
-        return determines_landmark(sights, &at).then_some(*vertex);
+        return determines_landmark(sights, &at, certainty).then_some(*vertex);
     }
-    Geometry::of(&Value::new(&place_landmark::<L>(sights)?))
+    Geometry::of(&Value::new(&place_landmark::<L>(sights, certainty)?))
 }

@@ -141,7 +141,7 @@ impl Observed {
         let one_kind = kinds.iter().all(|kind| kind.is_pose() && *kind == kinds[0]);
         match self {
             Self::Relative { .. } if one_kind => Ties::Poses,
-            Self::Relative { .. } => Ties::Sighting,
+            Self::Relative { noise, .. } if has_full_rank(noise) => Ties::Sighting,
             Self::Linear(constraint) if one_kind && kinds.len() > 1 => constraint.ties(),
             _ => Ties::Weak,
         }
@@ -169,6 +169,13 @@ impl Observed {
             _ => measurement.moved(value),
         }
     }
+}
+
+/// Whether a measurement informs all directions of what it measures: a sighting that does not leaves its
+/// landmark undetermined, as a bearing does.
+fn has_full_rank(noise: &Noise) -> bool {
+    let eigenvalues = noise.information().symmetric_eigenvalues();
+    eigenvalues.min() > 1e-12 * eigenvalues.max()
 }
 
 impl Constraint {

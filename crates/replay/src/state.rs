@@ -46,6 +46,8 @@ use crate::order::{Link, Node, Planned};
 /// is for the others, and there is none if no direction is left ([`Gauge`](evergraph_initialize::Gauge)).
 /// Steps of a component are joined until all directions that are known in the end are known: a robot
 /// that only knows its positions has no heading before it moves.
+/// A part that is tied to the rest by landmarks or ranges only, and that they leave free in some
+/// directions, gets a weak prior (1 m, 1 rad) in those.
 ///
 /// **FIX.** A fixed variable, pose or landmark, stays at its vertex ([`Change::fix`](evergraph_model::Change::fix)); without a vertex
 /// it stays where it starts. A component with fixed poses begins with one of them and has no gauge prior.
