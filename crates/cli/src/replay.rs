@@ -3,10 +3,12 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use evergraph::Replayer;
 use evergraph::formats::{Document, spell_id};
-use evergraph::solver::{BatchReport, BatchSettings, Settings, Status as BatchStatus};
+use evergraph::replay::Compared;
+use evergraph::solver::{BatchReport, Settings, Status as BatchStatus};
+use serde::Serialize;
 use serde_json::json;
 use tracing::info;
 
@@ -17,6 +19,7 @@ use crate::outputs::Outputs;
 use crate::progress::Progress;
 use crate::report::{self, Report, Run, Status, Times};
 use crate::steps::{StepLog, StepName, Totals};
+use crate::table::number;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -24,12 +27,13 @@ Examples:
   evergraph replay manhattan.g2o --output map.g2o
   evergraph replay city10000.txt --report out.json --steps steps.csv
   evergraph replay sphere2500.g2o --relinearize every --relinearize-every 50
-  evergraph replay noisy.g2o --robust=huber:1.0 --final-batch
+  evergraph replay noisy.g2o --robust=huber:1.0 --final-batch=best
   evergraph replay city10000.txt --plot city.png
 
 Status:
-  converged      with --final-batch: it converged. Without: one more Gauss-Newton step with
-                 everything relinearized would lower the error by no more than 0.1 %
+  converged      to a local minimum, the one next to the estimates on the way. Without
+                 --final-batch: one more Gauss-Newton step with everything relinearized would
+                 lower the error by no more than 0.1 %
   not_converged  neither
   stopped        --max-steps ended the replay before the file did
   singular       a step leaves some variable undetermined; the message says which";
@@ -55,9 +59,13 @@ pub(crate) struct Arguments {
     /// Where new variables start
     #[arg(long, value_enum, default_value = "odometry", help_heading = "Solving")]
     initial: StartFrom,
-    /// Solve everything to convergence at the end
-    #[arg(long, help_heading = "Solving")]
-    final_batch: bool,
+    /// Solve everything to convergence at the end; `best` also from a chordal start, and the lower of the
+    /// two minima is kept
+    #[arg(
+        long, value_enum, num_args = 0..=1, require_equals = true, default_missing_value = "estimate",
+        value_name = "FROM", help_heading = "Solving"
+    )]
+    final_batch: Option<FinalBatch>,
     /// Ask for all estimates after every step, as a program does that needs the whole map each time;
     /// they are computed again where they have moved by more than 1e-3 (m or rad)
     #[arg(long, help_heading = "Solving")]
@@ -77,6 +85,16 @@ pub(crate) struct Arguments {
     reading: Reading,
     #[command(flatten)]
     pub(crate) common: Common,
+}
+
+/// The start of the final batch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "snake_case")]
+enum FinalBatch {
+    /// The estimate at the end of the replay
+    Estimate,
+    /// That and the chordal start
+    Best,
 }
 
 /// What the steps left behind.
@@ -115,7 +133,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         Progress::new(total.min(arguments.max_steps.unwrap_or(total)), output.is_interactive());
 
     let mut driven = Driven::default();
-    let outcome = drive(&mut replayer, arguments, &mut driven, progress)
+    let outcome = drive(&mut replayer, &document, arguments, &mut driven, progress)
         .map_err(|error| error.with_gauge(arguments.solving.prior.0, &document));
     let (cut, batch) = match &outcome {
         Ok((cut, batch)) => (*cut, *batch),
@@ -127,7 +145,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let status = match (&outcome, cut, &batch) {
         (Err(_), ..) => Status::Singular,
         (_, true, _) => Status::Stopped,
-        (.., Some((batch, _))) if batch.status == BatchStatus::Converged => Status::Converged,
+        (.., Some(batch)) if batch.report.status == BatchStatus::Converged => Status::Converged,
         (.., Some(_)) => Status::NotConverged,
         // A system that cannot be solved once it is relinearized is no optimum either.
         (.., None) if replayer.is_settled(SETTLED).unwrap_or(false) => Status::Converged,
@@ -139,8 +157,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         settings: settings_json(arguments, &settings)?,
         time,
         relinearizations: driven.relinearizations
-            + batch.map_or(0, |(batch, _)| {
-                batch.iterations as usize * replayer.graph().variable_count()
+            + batch.map_or(0, |batch| {
+                batch.report.iterations as usize * replayer.graph().variable_count()
             }),
         status,
         peak_rss_mb,
@@ -149,8 +167,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     report.add("order", replayer.replay().order().to_string());
     report.add("updates", driven.updates.len());
     report.add("batches", driven.batches);
-    if let Some((batch, took)) = &batch {
+    if let Some(Finish { report: batch, compared, took }) = &batch {
         let mut value = serde_json::to_value(batch)?;
+        value["compared"] = serde_json::to_value(compared)?;
         value["seconds"] = json!(took.as_secs_f64());
         report.add("final_batch", value);
     }
@@ -165,6 +184,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     warn(&replayer, &driven, output);
     let mut rows = report.table(&in_words(&report, cut, &batch));
     rows.add("order", replayer.replay().order());
+    if let Some(compared) = batch.and_then(|batch| batch.compared) {
+        rows.add("chordal start", describe(&compared));
+    }
     output.result(&rows)
 }
 
@@ -180,11 +202,43 @@ fn read(arguments: &Arguments) -> Result<(Document, String), Error> {
     }
 }
 
-type Finished = (bool, Option<(BatchReport, Duration)>);
+/// A final batch.
+#[derive(Clone, Copy, Debug)]
+struct Finish {
+    /// Of the estimate that was kept.
+    report: BatchReport,
+    compared: Option<Compared>,
+    took: Duration,
+}
+
+type Finished = (bool, Option<Finish>);
+
+fn finish(
+    replayer: &mut Replayer,
+    document: &Document,
+    from: FinalBatch,
+) -> Result<(BatchReport, Option<Compared>), Error> {
+    match from {
+        FinalBatch::Estimate => {
+            let report = replayer.final_batch();
+            Ok((report.map_err(|source| Error::unsolvable(replayer, source))?, None))
+        }
+        FinalBatch::Best => {
+            let compared = replayer.final_batch_compared(document)?;
+            let kept = if compared.took_chordal {
+                compared.from_chordal
+            } else {
+                compared.from_estimate
+            };
+            Ok((kept, Some(compared)))
+        }
+    }
+}
 
 /// Applies the steps and, if asked for, the final batch. Says whether steps are left.
 fn drive(
     replayer: &mut Replayer,
+    document: &Document,
     arguments: &Arguments,
     driven: &mut Driven,
     mut progress: Progress,
@@ -197,12 +251,13 @@ fn drive(
     // A replay that was refused a step leaves the steps before it.
     log.map_or(Ok(()), StepLog::finish)?;
     let cut = outcome?;
-    let batch = if arguments.final_batch {
+    let batch = if let Some(from) = arguments.final_batch {
         progress.say("final batch");
         let start = Instant::now();
-        let result = replayer.smoother_mut().optimize(&BatchSettings::default());
+        let result = finish(replayer, document, from);
         progress.finish();
-        Some((result.map_err(|source| Error::unsolvable(replayer, source))?, start.elapsed()))
+        let (report, compared) = result?;
+        Some(Finish { report, compared, took: start.elapsed() })
     } else {
         None
     };
@@ -302,10 +357,23 @@ pub(crate) fn warn_of_landmarks(replayer: &Replayer, output: Output) {
     }
 }
 
-fn in_words(report: &Report, cut: bool, batch: &Option<(BatchReport, Duration)>) -> String {
+/// The two minima of a comparison.
+fn describe(compared: &Compared) -> String {
+    let (chordal, estimate) = (compared.from_chordal, compared.from_estimate);
+    let error = number(chordal.error);
+    if compared.took_chordal {
+        return format!("error {error}, kept; from the estimate {}", number(estimate.error));
+    }
+    if chordal.error > estimate.error * (1.0 + 1e-6) {
+        return format!("error {error}, higher: not kept");
+    }
+    format!("error {error}, the same minimum")
+}
+
+fn in_words(report: &Report, cut: bool, batch: &Option<Finish>) -> String {
     match (cut, batch) {
         (true, _) => "stopped (--max-steps)".into(),
-        (_, Some((batch, took))) => {
+        (_, Some(Finish { report: batch, took, .. })) => {
             let how = report::ended(batch.status);
             format!(
                 "{how} in {} iterations of the final batch, {:.3} s",
@@ -314,10 +382,10 @@ fn in_words(report: &Report, cut: bool, batch: &Option<(BatchReport, Duration)>)
             )
         }
         _ if report.status == Status::Converged => {
-            "converged (one more Gauss-Newton step gains no more than 0.1 %)".into()
+            "converged to a local minimum (one more step gains < 0.1 %)".into()
         }
         _ => {
-            "not converged (one more Gauss-Newton step gains more than 0.1 %): --final-batch".into()
+            "not converged (one more step gains > 0.1 %): use --final-batch".into()
         }
     }
 }

@@ -43,7 +43,7 @@ pub(crate) fn why(reason: Reason) -> String {
 /// A batch optimization's end in words.
 pub(crate) fn ended(status: BatchStatus) -> String {
     match status {
-        BatchStatus::Converged => "converged".into(),
+        BatchStatus::Converged => "converged to a local minimum".into(),
         BatchStatus::NotConverged(reason) => format!("not converged ({})", why(reason)),
         other => status_name(&other),
     }
