@@ -60,7 +60,7 @@ pub fn chordal(
 
 #[cfg(test)]
 mod tests {
-    use evergraph_formats::{Coordinates, Line, ReadOptions};
+    use evergraph_formats::{Coordinates, Line, ReadOptions, Record};
     use std::collections::HashMap;
 
     use evergraph_model::{Point2, Pose2, Pose3, Rot3};

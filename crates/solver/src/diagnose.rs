@@ -7,21 +7,23 @@ use std::collections::BTreeSet;
 
 use evergraph_model::{FactorIndex, Graph, VariableIndex};
 use faer::linalg::solvers::Solve;
+use faer::sparse::linalg::solvers::Llt;
 use faer::sparse::{SparseColMat, Triplet};
 use faer::{Mat, Side};
 
 use crate::error::{FreeVariable, Singular};
 use crate::linearization::Blocks;
 
-/// Most null directions looked for: more than any gauge (7 with scale), so that a few single
-/// variables can be free at once too.
+/// Null directions looked for at first: more than any gauge has (7 with scale).
 const DIRECTIONS: usize = 12;
+/// Most null directions looked for, when all of fewer were free.
+const MOST_DIRECTIONS: usize = 192;
 /// Damping relative to diag(JᵀJ); far below any sound pivot ratio, far above rounding.
 const DAMPING: f64 = 1e-12;
 /// A direction is free if the information along it, relative to the diagonal, is below this.
 const FREE: f64 = 1e-9;
-/// Components of a free direction below this share of its largest do not take part.
-const TAKES_PART: f64 = 1e-3;
+/// Components of the null space below this share of its largest are rounding.
+const TAKES_PART: f64 = 1e-6;
 
 /// Factors and variables, ascending, that a change drops: they do not count.
 #[derive(Clone, Copy, Debug, Default)]
@@ -39,28 +41,7 @@ pub(crate) fn singular(
 ) -> Singular {
     let component = component_of(graph, dropped, variable);
     let null = null_space(graph, blocks, dropped, &component);
-    let mut free: Vec<FreeVariable> = Vec::new();
-    for (position, &v) in component.variables.iter().enumerate() {
-        let dim = graph.dim_at(v);
-        let start = component.starts[position];
-        let involved: Vec<usize> = (0..dim)
-            .filter(|i| null.iter().any(|direction| direction[start + i].abs() > TAKES_PART))
-            .collect();
-        if involved.is_empty() {
-            continue;
-        }
-        let kind = graph.kind_at(v);
-        let directions = null
-            .iter()
-            .filter(|direction| (0..dim).any(|i| direction[start + i].abs() > TAKES_PART))
-            .count();
-        free.push(FreeVariable {
-            variable: graph.variable_id(v),
-            dim,
-            free: directions.min(involved.len()),
-            components: involved.into_iter().map(|i| kind.component(i)).collect(),
-        });
-    }
+    let mut free = free_variables(graph, &component, &null);
     let whole = component.variables.len();
     if free.is_empty() {
         // No direction is free to working precision, but this pivot was lost: name it alone.
@@ -75,12 +56,45 @@ pub(crate) fn singular(
     }
     if whole > 1 && free.len() == whole {
         return Singular::Component {
-            examples: free.iter().take(5).map(|f| f.variable).collect(),
+            examples: component.variables.iter().take(5).map(|&v| graph.variable_id(v)).collect(),
             count: whole,
-            free: null.len(),
+            free: null.ncols(),
         };
     }
     Singular::Variables { variables: free }
+}
+
+/// The variables that the null space moves, those that it moves most first.
+///
+/// Norms of rows do not depend on the basis, so that a variable is not mixed up with others that are free
+/// by themselves.
+fn free_variables(graph: &Graph, component: &Component, null: &Mat<f64>) -> Vec<FreeVariable> {
+    let norms: Vec<f64> = (0..null.nrows()).map(|i| null.row(i).norm_l2()).collect();
+    let enough = TAKES_PART * norms.iter().fold(0.0, |most: f64, norm| most.max(*norm));
+    let mut found: Vec<(f64, FreeVariable)> = Vec::new();
+    for (&v, &start) in component.variables.iter().zip(&component.starts) {
+        let dim = graph.dim_at(v);
+        let moved: Vec<usize> = (0..dim).filter(|i| norms[start + i] > enough).collect();
+        if moved.is_empty() {
+            continue;
+        }
+        // One by one, since a row of many directions is as long as one of few.
+        let block = Mat::from_fn(dim, null.ncols(), |i, j| null[(start + i, j)]);
+        let singular = block.singular_values().unwrap_or_default();
+        let free = singular.iter().filter(|&&value| value > enough).count().max(1);
+        let kind = graph.kind_at(v);
+        let free = FreeVariable {
+            variable: graph.variable_id(v),
+            dim,
+            free: free.min(moved.len()),
+            components: moved.iter().map(|&i| kind.component(i)).collect(),
+        };
+        found.push((singular.first().copied().unwrap_or(0.0), free));
+    }
+    // Equal shares in the order of their slots, whatever rounding makes of them.
+    let share = |of: f64| (1e3 * of).round();
+    found.sort_by(|a, b| share(b.0).total_cmp(&share(a.0)));
+    found.into_iter().map(|(_, free)| free).collect()
 }
 
 /// Unknowns that are connected, and the first of each one's scalars among those of the component. A
@@ -114,14 +128,15 @@ fn component_of(graph: &Graph, dropped: Dropped<'_>, start: VariableIndex) -> Co
     Component { variables, starts, dim }
 }
 
-/// Orthonormal free directions of the component, each scaled to largest entry 1 (in the unscaled
-/// variables). Empty if none can be computed.
+/// An orthonormal basis of the free directions of the component, a column each, of scalars in units of
+/// their information. Without columns if none can be computed.
 fn null_space(
     graph: &Graph,
     blocks: &Blocks,
     dropped: Dropped<'_>,
     component: &Component,
-) -> Vec<Vec<f64>> {
+) -> Mat<f64> {
+    let none = || Mat::zeros(component.dim, 0);
     let place =
         |v: VariableIndex| component.variables.binary_search(&v).ok().map(|i| component.starts[i]);
     let factors: BTreeSet<FactorIndex> = component
@@ -166,15 +181,26 @@ fn null_space(
     let Ok(matrix) =
         SparseColMat::<usize, f64>::try_new_from_triplets(component.dim, component.dim, &triplets)
     else {
-        return Vec::new();
+        return none();
     };
     let Ok(factor) = matrix.sp_cholesky(Side::Lower) else {
-        return Vec::new();
+        return none();
     };
-    let count = DIRECTIONS.min(component.dim);
+    let mut count = DIRECTIONS.min(component.dim);
+    loop {
+        let Some(found) = softest(&factor, component.dim, count) else { return none() };
+        let may_be_more = found.ncols() == count && count < MOST_DIRECTIONS.min(component.dim);
+        if !may_be_more {
+            return found;
+        }
+        count = (2 * count).min(component.dim);
+    }
+}
+
+/// The free ones of the `count` softest directions of a factored matrix.
+fn softest(factor: &Llt<usize, f64>, dim: usize, count: usize) -> Option<Mat<f64>> {
     // A fixed start without symmetry; any will do.
-    let mut x =
-        Mat::from_fn(component.dim, count, |i, j| ((i * 7919 + j * 104_729 + 13) as f64).sin());
+    let mut x = Mat::from_fn(dim, count, |i, j| ((i * 7919 + j * 104_729 + 13) as f64).sin());
     for _ in 0..4 {
         x = factor.solve(&x);
         x = x.qr().compute_thin_Q();
@@ -182,17 +208,8 @@ fn null_space(
     // Rayleigh-Ritz: eigenvectors of the small projected matrix separate free from stiff.
     let solved = factor.solve(&x);
     let projected = x.transpose() * &solved;
-    let Ok(eigen) = projected.self_adjoint_eigen(Side::Lower) else {
-        return Vec::new();
-    };
+    let eigen = projected.self_adjoint_eigen(Side::Lower).ok()?;
     let directions = &x * eigen.U();
-    (0..count)
-        .filter(|&j| 1.0 / eigen.S()[j] < FREE)
-        .map(|j| {
-            let direction: Vec<f64> =
-                (0..component.dim).map(|i| directions[(i, j)] / scale[i]).collect();
-            let largest = direction.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
-            direction.into_iter().map(|x| x / largest).collect()
-        })
-        .collect()
+    let free: Vec<usize> = (0..count).filter(|&j| 1.0 / eigen.S()[j] < FREE).collect();
+    Some(Mat::from_fn(dim, free.len(), |i, j| directions[(i, free[j])]))
 }
