@@ -40,7 +40,7 @@ pub(crate) fn explain_removal(error: &RemovalError, name: &dyn Fn(VariableId) ->
     };
     match error {
         RemovalError::NoBlanket { variable } => format!(
-            "{} shares no factor with a variable that stays, so nothing can carry what is known of it",
+            "{} shares no factor with a variable that stays, so nothing can carry what is known of its component",
             name(*variable)
         ),
         RemovalError::LargeBlanket { variable, dim, largest } => format!(
