@@ -121,6 +121,16 @@ impl Error {
         }
     }
 
+    /// Whether an update would have taken too long.
+    pub(crate) fn is_too_dense(&self) -> bool {
+        match self {
+            Self::Replay(ReplayerError::Step { source, .. }) => {
+                matches!(**source, SmootherError::LargeClique { .. })
+            }
+            _ => false,
+        }
+    }
+
     /// Tells the user, and says how the program ends; `program` is the command line, for its usage.
     pub(crate) fn end(&self, mut program: clap::Command) -> ExitCode {
         match self {

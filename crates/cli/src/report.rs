@@ -25,6 +25,7 @@ pub(crate) enum Status {
     Converged,
     NotConverged,
     Singular,
+    TooDense,
     Stopped,
 }
 

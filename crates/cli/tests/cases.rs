@@ -115,11 +115,13 @@ fn fixed_vertices_survive_removal() {
 fn landmarks_are_placed_once_they_are_determined() {
     let folder = Folder::new();
     for command in ["optimize", "replay"] {
-        let (report, graph) = solved(&folder, &format!("{command} {}", case("rank1_sightings.g2o")));
+        let (report, graph) =
+            solved(&folder, &format!("{command} {}", case("rank1_sightings.g2o")));
         error_is(&report, 0.0, 1e-12);
         near(&vertex(&graph, "100"), &[5.0, 5.0], 1e-6);
         assert_eq!(report["held_back"], 0);
-        let (report, graph) = solved(&folder, &format!("{command} {}", case("factor_graph_small.pyfg")));
+        let (report, graph) =
+            solved(&folder, &format!("{command} {}", case("factor_graph_small.pyfg")));
         error_is(&report, 0.0, 1e-9);
         let landmark = graph.lines().find(|line| line.starts_with("VERTEX_XY")).unwrap();
         let id = landmark.split_whitespace().nth(1).unwrap();
