@@ -129,7 +129,10 @@ fn tell(document: &Document, output: Output) {
         output.warn(&format!("{more} more bad lines were skipped; --verbose lists them"));
     }
     for (tag, count) in &document.summary().ignored {
-        info!("{}: {count} {tag} lines were passed over", document.name());
+        output.warn(&format!(
+            "{}: {count} {tag} lines were passed over; Evergraph has no factor for them",
+            document.name()
+        ));
     }
 }
 

@@ -118,7 +118,7 @@ impl Document {
     ) -> Result<Self, FormatError> {
         let mut lines = std::mem::take(&mut contents.lines);
         let dialect = contents.dialect.unwrap_or(Dialect::G2o);
-        let numbered_apart = dialect == Dialect::Isam;
+        let numbered_apart = matches!(dialect, Dialect::Isam | Dialect::Toro);
         let kinds = reconcile(&name, &mut lines, numbered_apart, |error| {
             let line = error.line();
             contents.reject(error, line, options.lenient)
