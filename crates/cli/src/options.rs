@@ -277,7 +277,7 @@ impl Solving {
 /// Which relinearization policy to start from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum PolicyName {
-    /// What moved far every 10 steps, what moved at all every 100, spread over 10
+    /// What moved far every 10 steps, what moved at all every 100, sweeps spread over 10
     Both,
     /// A batch to convergence every 100 steps
     Every,
@@ -306,7 +306,7 @@ pub(crate) struct Policy {
     /// Look for what moved far every N steps [default: 10]
     #[arg(long, value_name = "N")]
     pub fluid_every: Option<NonZeroU32>,
-    /// Spread the work of relinearizing over N steps [default: 10]
+    /// Spread the work of a sweep over N steps [default: 10]
     #[arg(long, value_name = "N")]
     pub relinearize_spread: Option<NonZeroU32>,
 }

@@ -41,11 +41,13 @@ pub struct Fluid {
 pub struct Relinearization {
     /// The frequent check for what has moved far.
     pub fluid: Option<Fluid>,
-    /// The rare check for what has moved at all.
+    /// The rare check for what has moved at all. After few changes it comes more often: after a
+    /// twentieth of them, but at least 10.
     pub sweep: Option<Fluid>,
-    /// Over how many changes the work of relinearizing what a check found is spread, unless it is
+    /// Over how many changes the work of relinearizing what a sweep found is spread, unless it is
     /// next to nothing; 1 does it all in the change that finds it. The estimate is that of the old
-    /// linearization points until all is done.
+    /// linearization points until all is done. What is beyond the threshold of the frequent check is
+    /// relinearized at once, whatever this says.
     pub spread: NonZeroU32,
     /// Every so many changes all variables are relinearized and solved until convergence. Exact,
     /// and the slowest step by far; iSAM uses 100, the GLC paper 50.
@@ -108,8 +110,8 @@ impl Fluid {
 }
 
 impl Relinearization {
-    /// Every 10 changes what exceeds 0.09, if anything exceeds 0.25, and every 100 a sweep of what
-    /// exceeds 0.02; each spread over 10. The default.
+    /// Every 10 changes what exceeds 0.09, if anything exceeds 0.25, at once, and every 100 a sweep of
+    /// what exceeds 0.02, spread over 10. The default.
     pub const BOTH: Self = Self {
         fluid: Some(Fluid { threshold: 0.25, share: 0.36, every: interval(10) }),
         sweep: Some(Fluid { threshold: 0.02, share: 1.0, every: interval(100) }),
