@@ -58,6 +58,9 @@ pub(crate) enum Error {
     /// A reduced graph does not fit the full one.
     #[error(transparent)]
     NotReduced(#[from] ReducedError),
+    /// Lines of a file that make no sense.
+    #[error("{first}{}. `--lenient` skips such lines and lists them", and_more(*more))]
+    BadLines { first: Box<FormatError>, more: usize },
     /// A file could not be read.
     #[error("{}: cannot be read: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
@@ -86,6 +89,14 @@ pub(crate) enum Error {
     /// Options that do not go together.
     #[error("{message}")]
     Usage { command: &'static str, message: String },
+}
+
+fn and_more(lines: usize) -> String {
+    match lines {
+        0 => String::new(),
+        1 => "; 1 more line cannot be read".into(),
+        more => format!("; {more} more lines cannot be read"),
+    }
 }
 
 impl Error {

@@ -217,10 +217,29 @@ fn read(arguments: &Arguments) -> Result<(Document, String), Error> {
             Ok((arguments.reading.read(path, &arguments.common)?, report::file_name(path)))
         }
         None => {
+            if is_piped_in() {
+                arguments.common.output().warn(
+                    &"standard input is not read: the sample is replayed. Name `-` as the file to replay \
+                     what is piped in",
+                );
+            }
             let options = arguments.reading.options(&arguments.common);
             Ok((Document::parse(SAMPLE_NAME, SAMPLE, &options)?, SAMPLE_NAME.into()))
         }
     }
+}
+
+/// Whether standard input is a pipe or a file.
+#[cfg(unix)]
+fn is_piped_in() -> bool {
+    use std::os::unix::fs::FileTypeExt;
+    let kind = std::fs::metadata("/dev/stdin").map(|input| input.file_type());
+    kind.is_ok_and(|kind| kind.is_fifo() || kind.is_file())
+}
+
+#[cfg(not(unix))]
+fn is_piped_in() -> bool {
+    false
 }
 
 /// A final batch.

@@ -133,6 +133,8 @@ pub(crate) const TAGS: &[Tag] = &[
     factor("EDGE_POINTXYZ_PRIOR", Prior, &[Point3], upper!(3, "id x y z")),
     factor("EDGE_PRIOR_SE2_XY", Position, &[Pose2], upper!(2, "id x y")),
     factor("EDGE_SE3_XYZ_PRIOR", Position, &[Pose3], upper!(3, "id [offset] x y z")),
+    // hdl_graph_slam.
+    factor("EDGE_SE3_PRIORXYZ", Position, &[Pose3], upper!(3, "id x y z")),
     factor("EDGE_BEARING_SE2_XY", Bearing, &[Pose2, Point2], upper!(1, "pose point bearing")),
     factor("EDGE_POINTXY", Between, &[Point2, Point2], upper!(2, "from to x y")),
     factor("EDGE_POINTXYZ", Between, &[Point3, Point3], upper!(3, "from to x y z")),
