@@ -16,7 +16,7 @@ use crate::profile::Phase;
 use crate::report::Report;
 use crate::settings::Fluid;
 use crate::smoother::{Smoother, Takeover};
-use crate::solve::{self, Pass};
+use crate::solve::Pass;
 
 /// Between sweeps, δ is passed down the tree where it changes by more than this share of the
 /// threshold.
@@ -88,12 +88,10 @@ impl Smoother {
 
     /// How far the newest variable has moved since the last check, or since it came in. It stands in the
     /// root, so this costs next to nothing.
-    fn jump(&self) -> f64 {
-        let Factorization { graph, tree, solution, newest, .. } = &self.factorization;
-        let Some(newest) = newest.filter(|_| !solution.is_at_points) else { return 0.0 };
-        let delta = solve::path(self.engine.instructions, graph, tree, newest);
-        let known = &solution.delta[graph.tangent_range(newest)];
-        delta.iter().zip(known).map(|(new, old)| (new - old).abs()).fold(0.0, f64::max)
+    fn jump(&mut self) -> f64 {
+        let Factorization { graph, tree, solution, newest, .. } = &mut self.factorization;
+        let instructions = self.engine.instructions;
+        newest.map_or(0.0, |newest| solution.jump(instructions, graph, tree, newest))
     }
 
     /// Looks for variables that have moved too far, and relinearizes them: at once, and again, where one is
