@@ -226,9 +226,7 @@ fn inspect_weight<'a>(
     if weight.kind == WeightKind::Sigmas {
         return match weight.entries.iter().find(|sigma| **sigma <= 0.0) {
             None => Ok(false),
-            Some(&sigma) => {
-                Err(out_of_range(place, tag, "standard deviation", sigma, "above 0"))
-            }
+            Some(&sigma) => Err(out_of_range(place, tag, "standard deviation", sigma, "above 0")),
         };
     }
     if weight.entries.is_empty()

@@ -43,7 +43,8 @@ pub(crate) fn as_written(weight: &Weight, n: usize) -> Option<DMatrix<f64>> {
     }
     if weight.kind == WeightKind::Sigmas {
         let is_fit = weight.entries.len() == n;
-        return is_fit.then(|| DMatrix::from_diagonal(&DVector::from_column_slice(&weight.entries)));
+        return is_fit
+            .then(|| DMatrix::from_diagonal(&DVector::from_column_slice(&weight.entries)));
     }
     if rows(weight.entries.len()) != Some(n) {
         return None;
@@ -214,7 +215,9 @@ pub(crate) fn information(weight: &Weight, n: usize) -> Option<DMatrix<f64>> {
     match weight.kind {
         WeightKind::Information => Some(matrix),
         WeightKind::SquareRoot => Some(matrix.transpose() * matrix),
-        WeightKind::Sigmas => Some(matrix.map(|sigma| if sigma == 0.0 { 0.0 } else { sigma.powi(-2) })),
+        WeightKind::Sigmas => {
+            Some(matrix.map(|sigma| if sigma == 0.0 { 0.0 } else { sigma.powi(-2) }))
+        }
         WeightKind::Covariance => {
             let mut inverse = nalgebra::Cholesky::new(matrix)?.inverse();
             inverse.fill_lower_triangle_with_upper_triangle();

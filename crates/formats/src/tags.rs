@@ -238,7 +238,8 @@ impl Tag {
     /// How many entries the matrix has.
     pub fn entries(&self) -> usize {
         let is_entry = |name: &&str| {
-            name.strip_prefix(['I', 'C', 'S']).is_some_and(|n| n.bytes().all(|b| b.is_ascii_digit()))
+            name.strip_prefix(['I', 'C', 'S'])
+                .is_some_and(|n| n.bytes().all(|b| b.is_ascii_digit()))
         };
         self.layout.split(' ').filter(is_entry).count()
     }

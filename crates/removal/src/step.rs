@@ -316,8 +316,7 @@ impl Replacement {
                 if target.members.len() > guard.largest_dense {
                     let share = new.allowed_share(guard);
                     let minimum = &sum.minimum * share;
-                    let new =
-                        Self::make(overlay, target, &potentials, new.rows, &minimum, &own)?;
+                    let new = Self::make(overlay, target, &potentials, new.rows, &minimum, &own)?;
                     return Ok(Self { fallback: Some(Fallback::ShortenedOffset), ..new });
                 }
                 fallback = Some(Fallback::DenseForOffset);

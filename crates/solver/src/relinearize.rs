@@ -25,7 +25,7 @@ const COARSE_SHARE: f64 = 0.4;
 /// Relinearizations in one step: a large loop closure takes more than one, each much less than the last.
 const ROUNDS: u32 = 3;
 /// While a graph is small, a sweep comes after this part of its changes ...
-const YOUNG: u64 = 20;
+const YOUNG: u64 = 10;
 /// ... but no sooner than after so many.
 const SOONEST: u64 = 10;
 
