@@ -176,10 +176,10 @@ fn tell(document: &Document, output: Output) {
     }
     let summary = document.summary();
     let factors = summary.pose_edges + summary.landmark_edges + summary.measurements;
-    if factors == 0 {
+    if factors == 0 && summary.poses > 0 {
         output.warn(&format!("{}: there are no measurements in it", document.name()));
     }
-    for (tag, count) in &document.summary().ignored {
+    for (tag, count) in summary.ignored.iter().filter(|(tag, _)| *tag != "#") {
         output.warn(&format!(
             "{}: {count} {tag} lines were passed over; Evergraph has no factor for them",
             document.name()

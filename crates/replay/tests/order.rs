@@ -61,7 +61,8 @@ fn error_of(graph: &Graph, values: &HashMap<VariableId, Value>, factor: FactorId
 fn check_order(document: &Document, run: &Run, what: &str) {
     let summary = document.summary();
     let factors: usize = run.steps.iter().map(|step| step.factors).sum();
-    assert_eq!(factors, summary.pose_edges + summary.landmark_edges, "{what}");
+    let all = summary.pose_edges + summary.landmark_edges + summary.measurements;
+    assert_eq!(factors, all, "{what}");
     assert_eq!(run.replay.factors().len(), factors, "{what}");
     let variables: usize = run.steps.iter().map(|step| step.variables).sum();
     assert_eq!(

@@ -15,11 +15,31 @@ const DOGLEG: u32 = 1000;
 /// an optimization stopped: the usual 1e-11 of the error can be 1e-4 m of something that is known to a
 /// metre. By Levenberg-Marquardt, and where that has not converged after 100 linearizations by dogleg.
 ///
-/// The report is of both together.
+/// Where rounding hides the end, as at coordinates of thousands of kilometres, such an optimization wanders
+/// in the directions that are known least. The end of a usual one is then kept, if it converged.
+///
+/// The report is of all of them together.
 ///
 /// # Errors
 /// [`SmootherError`] as [`Smoother::optimize`]; everything is then what it was before.
 pub fn optimize_to_the_end(smoother: &mut Smoother) -> Result<BatchReport, SmootherError> {
+    let usual =
+        smoother.optimize(&BatchSettings { max_iterations: DAMPED, ..Default::default() })?;
+    if usual.status != Status::Converged {
+        return without_tolerance(smoother);
+    }
+    let mut copy = smoother.clone();
+    let strict = without_tolerance(&mut copy)?;
+    if strict.status != Status::Converged {
+        return Ok(usual);
+    }
+    *smoother = copy;
+    let iterations = usual.iterations + strict.iterations;
+    Ok(BatchReport { initial_error: usual.initial_error, iterations, ..strict })
+}
+
+/// Optimizes by Levenberg-Marquardt, then by dogleg, until steps tell nothing.
+fn without_tolerance(smoother: &mut Smoother) -> Result<BatchReport, SmootherError> {
     let damped = BatchSettings {
         relative_decrease: 0.0,
         max_iterations: DAMPED,
