@@ -22,7 +22,7 @@ pub enum Certainty {
     /// over a larger region bearings and ranges are too far from linear. No other position fits within a
     /// chi2 of 9. For a landmark that more measurements may come for.
     Sure,
-    /// The same with 1 of the distance, and a chi2 of 1: for a landmark of which all measurements are there.
+    /// The same with 0.5 of the distance, and a chi2 of 1: for a landmark of which all measurements are there.
     Likely,
 }
 
@@ -31,7 +31,7 @@ impl Certainty {
     fn parallax(self) -> f64 {
         match self {
             Self::Sure => 0.3,
-            Self::Likely => 1.0,
+            Self::Likely => 0.5,
         }
     }
 

@@ -84,6 +84,9 @@ fn check_order(document: &Document, run: &Run, what: &str) {
             tied[arrival[from].max(arrival[to])] = true;
         }
     }
+    for (id, _) in run.replay.fixed().filter(|(id, _)| arrival.contains_key(id)) {
+        tied[arrival[&id]] = true;
+    }
     let roots = tied.iter().filter(|tied| !**tied).count();
     assert_eq!(roots, run.replay.gauge_priors().len(), "{what}: one gauge prior for each part");
 }

@@ -25,8 +25,13 @@ const DOGLEG: u32 = 1000;
 pub fn optimize_to_the_end(smoother: &mut Smoother) -> Result<BatchReport, SmootherError> {
     let usual =
         smoother.optimize(&BatchSettings { max_iterations: DAMPED, ..Default::default() })?;
+    let both = |strict: BatchReport| BatchReport {
+        initial_error: usual.initial_error,
+        iterations: usual.iterations + strict.iterations,
+        ..strict
+    };
     if usual.status != Status::Converged {
-        return without_tolerance(smoother);
+        return without_tolerance(smoother).map(both);
     }
     let mut copy = smoother.clone();
     let strict = without_tolerance(&mut copy)?;
@@ -34,8 +39,7 @@ pub fn optimize_to_the_end(smoother: &mut Smoother) -> Result<BatchReport, Smoot
         return Ok(usual);
     }
     *smoother = copy;
-    let iterations = usual.iterations + strict.iterations;
-    Ok(BatchReport { initial_error: usual.initial_error, iterations, ..strict })
+    Ok(both(strict))
 }
 
 /// Optimizes by Levenberg-Marquardt, then by dogleg, until steps tell nothing.
