@@ -73,7 +73,7 @@ pub(crate) struct Arguments {
     #[arg(long, help_heading = "Solving")]
     full_estimate: bool,
     /// Stop before a step that would eliminate a clique of more than N scalars, or `none`. The time of a
-    /// step grows with the cube of it, 2000 take about a second; wrong loop closures make such cliques
+    /// step grows with the cube of it, 2000 take about 0.4 s; wrong loop closures make such cliques
     #[arg(long, value_name = "none|N", default_value = "2000", value_parser = bound, help_heading = "Solving")]
     largest_clique: Bound,
     /// Stop after N steps
