@@ -159,8 +159,8 @@ fn usage_errors_end_with_2() {
         ("replay two.g2o --robust=cauchy", "cauchy"),
         ("replay two.g2o --robust=huber:x", "`x` is no number"),
         ("replay two.g2o --robust=huber:0", "huber"),
-        // A value goes after `=` only: this one would be the file.
-        ("replay --robust huber two.g2o", "two.g2o"),
+        // A value goes after `=` only.
+        ("replay --robust huber two.g2o", "--robust=huber"),
         ("replay two.g2o --robust --kernel huber:1", "--kernel"),
         ("replay two.g2o --plain", "--output"),
         ("completions", "SHELL"),

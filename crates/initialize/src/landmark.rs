@@ -14,7 +14,7 @@ use crate::hint::Hint;
 use crate::minimize::{Quadratic, minimize};
 use crate::rigid::sample;
 
-/// How sure a position of a landmark has to be.
+/// The certainty that the position of a landmark needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Certainty {
@@ -35,7 +35,7 @@ impl Certainty {
         }
     }
 
-    /// How much better, in chi2, a position has to fit than any other.
+    /// The margin, in chi2, by which a position has to fit better than any other.
     fn margin(self) -> f64 {
         match self {
             Self::Sure => 9.0,
