@@ -255,19 +255,39 @@ mod tests {
         assert_eq!(plane(&poses[..1], 1.0, Some(0.1)).gauge().coarsely_free(), 0);
     }
 
-    /// A depth is a row whose parts along x and y cancel to rounding, whichever way the robot is turned.
+    /// Positions far from the body's center and close to each other hold its heading, if barely.
+    #[test]
+    fn a_direction_that_others_nearly_hide_is_not_free() {
+        let center = Pose2::identity();
+        let mut change = Graph::new().change();
+        let mut body = Body::new(&Geometry::Pose2(center));
+        for x in [100.0, 100.0 + 1e-4] {
+            let at = Pose2::new(x, 0.0, 0.0);
+            let key = pose(&mut change, &at);
+            let noise = Noise::isotropic(2, 0.01).unwrap();
+            let gps = GpsPosition2::new(key, Point2::new(x, 0.0), noise).unwrap();
+            body.tie(Arc::new(gps), |_| Some(End::Moving(Geometry::Pose2(at))));
+        }
+        assert_eq!(body.gauge().free(), 0);
+    }
+
+    /// Depths hold height and tilt. The parts of their rows along x and y cancel to rounding only.
     #[test]
     fn rounding_of_rotations_informs_nothing() {
         for k in 0..40 {
             let k = f64::from(k);
             let turn = Rot3::exp(&Vector3::new(0.3 * k, 1.1 - 0.2 * k, 0.7 * k));
-            let at = Pose3::new(turn, Point3::new(1e4 * k, 3.0, -7.0 * k));
+            let base = Pose3::new(turn, Point3::new(1e4 * k, 3.0, -7.0 * k));
+            let arms = [[0.0; 3], [2.0, 0.3, 0.1], [-0.4, 1.7, 0.9], [1.0, 1.0, -1.0]];
             let mut change = Graph::new().change();
-            let key = change.add_variable(&at);
-            let depth = Depth::new(key, at.z(), Noise::isotropic(1, 0.1).unwrap()).unwrap();
-            let mut body = Body::new(&Geometry::Pose3(at));
-            body.tie(Arc::new(depth), |_| Some(End::Moving(Geometry::Pose3(at))));
-            assert_eq!(body.gauge().free(), 5, "{k}");
+            let mut body = Body::new(&Geometry::Pose3(base));
+            for [x, y, z] in arms {
+                let at = base.compose(&Pose3::new(turn, Point3::new(x, y, z)));
+                let key = change.add_variable(&at);
+                let depth = Depth::new(key, at.z(), Noise::isotropic(1, 0.1).unwrap()).unwrap();
+                body.tie(Arc::new(depth), |_| Some(End::Moving(Geometry::Pose3(at))));
+            }
+            assert_eq!(body.gauge().free(), 3, "{k}");
         }
     }
 

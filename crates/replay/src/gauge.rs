@@ -66,13 +66,12 @@ impl Replay {
                 &observation.what
                 && !self.nodes[first].kind.is_pose()
                 && !is_planned[first]
+                && has_full_rank(noise)
             {
-                if has_full_rank(noise) {
-                    let mut at = DVector::zeros(3);
-                    at.rows_mut(0, numbers.len().min(3)).copy_from_slice(numbers);
-                    let at = at.fixed_rows::<3>(0).into_owned();
-                    self.anchors[first] = point(self.nodes[first].kind, &at);
-                }
+                let mut at = DVector::zeros(3);
+                at.rows_mut(0, numbers.len().min(3)).copy_from_slice(numbers);
+                let at = at.fixed_rows::<3>(0).into_owned();
+                self.anchors[first] = point(self.nodes[first].kind, &at);
             }
         }
         for node in (0..self.nodes.len()).filter(|&node| self.fixed[node]) {

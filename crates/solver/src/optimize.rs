@@ -243,8 +243,8 @@ impl Factorization {
                         };
                     }
                 }
-                // Written so that NaN is a failure. A shorter step must gain something.
-                if trial_error.is_finite() && (decrease > 0.0 || (full && decrease >= 0.0)) {
+                // Written so that NaN is a failure.
+                if trial_error.is_finite() && trial_error <= error {
                     let length = scaled_norm(&delta, &scale);
                     let gain = decrease / promised;
                     if gain > 0.75 {
