@@ -162,8 +162,8 @@ fn the_last_node_of_a_component_stays() {
     let mut change = smoother.change();
     let at = |k: usize| Pose2::new(k as f64, 50.0, 0.0);
     let island: Vec<_> = (0..3).map(|k| change.add_variable(&at(k))).collect();
-    for k in 0..3 {
-        change.add_factor(Prior::new(island[k], at(k), noise.clone()).unwrap());
+    for (k, pose) in island.iter().enumerate() {
+        change.add_factor(Prior::new(*pose, at(k), noise.clone()).unwrap());
     }
     for k in 1..3 {
         let z = at(k - 1).between(&at(k));
