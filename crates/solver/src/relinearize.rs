@@ -24,6 +24,11 @@ const COARSE_SHARE: f64 = 0.4;
 
 /// Relinearizations in one step: a large loop closure takes more than one, each much less than the last.
 const ROUNDS: u32 = 3;
+/// Where variables are far away after these rounds too, full steps overshoot: they are then relinearized in slices for so
+/// many steps, and twice as many each time it happens again ...
+const FIRST_WAIT: u64 = 10;
+/// ... up to so many.
+const LONGEST_WAIT: u64 = 1000;
 /// While a graph is small, a sweep comes after this part of its changes ...
 const YOUNG: u64 = 10;
 /// ... but no sooner than after so many.
@@ -55,6 +60,7 @@ impl Smoother {
             self.give_up();
         }
         if let Some(check) = policy.fluid
+            && self.may_be_at_once()
             && self.jump() > check.threshold
         {
             // A large loop closure. What is pending was for an estimate that is far off now.
@@ -98,12 +104,28 @@ impl Smoother {
     /// beyond the threshold of the frequent check, or else in slices.
     fn check(&mut self, due: Check, report: &mut Report) {
         let mut next = Some(due);
-        for _ in 0..ROUNDS {
-            let Some(check) = next else { return };
+        for round in 0..ROUNDS {
+            let Some(check) = next else {
+                // What was far away has settled.
+                if round > 1 {
+                    self.checked.wait /= 2;
+                }
+                return;
+            };
             let is_far = self.check_once(check, report);
             let fluid = self.settings.relinearization.fluid.filter(|_| is_far);
             next = fluid.map(|check| Check { check, is_sweep: false });
         }
+        if next.is_some() {
+            let wait = (2 * self.checked.wait).clamp(FIRST_WAIT, LONGEST_WAIT);
+            self.checked.wait = wait;
+            self.checked.at_once_from = self.steps + wait;
+        }
+    }
+
+    /// Whether variables far away may be relinearized at once, rather than in slices.
+    fn may_be_at_once(&self) -> bool {
+        self.steps >= self.checked.at_once_from
     }
 
     /// One round of [`check`](Self::check): whether variables far away have been relinearized.
@@ -149,7 +171,7 @@ impl Smoother {
         self.lap(Phase::Detach);
         let is_far = policy.fluid.is_some_and(|fluid| moved.largest > fluid.threshold);
         match begun {
-            Ok(work) if is_far || spread == 1 || work <= SMALLEST_SLICE => {
+            Ok(work) if is_far && self.may_be_at_once() || spread == 1 || work <= SMALLEST_SLICE => {
                 self.relinearize_at_once(report);
                 is_far && report.relinearization_refused.is_none()
             }

@@ -47,6 +47,10 @@ pub(crate) struct Checked {
     pub(crate) sweep: u64,
     /// Whether the last check, or batch step, found nothing to relinearize.
     pub(crate) is_settled: bool,
+    /// The first step in which variables far away may be relinearized at once again.
+    pub(crate) at_once_from: u64,
+    /// Steps to wait once more where that does not settle.
+    pub(crate) wait: u64,
 }
 
 /// What became of a relinearization that was ready when a change came.
