@@ -133,7 +133,9 @@ impl<D> Live<'_, D> {
             price,
             constant: plan.constant(),
             degrees_of_freedom: plan.degrees_of_freedom(),
+            topology: step.map_or(self.rules.options.topology, |step| step.topology),
             fallback: step.and_then(|step| step.fallback),
+            certificate: step.and_then(|step| step.certificate),
         };
         let begun = Instant::now();
         match self.smoother.apply(plan.into_change()) {

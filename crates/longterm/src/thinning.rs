@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use evergraph_model::{Graph, VariableId};
-use evergraph_removal::{Fallback, RemovalError};
+use evergraph_removal::{Certificate, Fallback, RemovalError, Topology};
 #[cfg(doc)]
 use evergraph_removal::{Options, Order};
 #[cfg(doc)]
@@ -33,8 +33,12 @@ pub struct Thinned {
     pub constant: f64,
     /// See [`Plan::degrees_of_freedom`](evergraph_removal::Plan::degrees_of_freedom).
     pub degrees_of_freedom: i64,
+    /// The topology of the new factors.
+    pub topology: Topology,
     /// The reason where it did not take the form that was asked for.
     pub fallback: Option<Fallback>,
+    /// See [`Step::certificate`](evergraph_removal::Step::certificate).
+    pub certificate: Option<Certificate>,
 }
 
 /// The outcome of removals.

@@ -28,18 +28,7 @@ impl CovarianceRoot {
         if target.rank() + held != target.dim() {
             return None;
         }
-        let square = target.root.select_columns(&target.pivots);
-        let inverse = upper_inverse(&square);
-        let mut s = DMatrix::zeros(target.dim(), target.rank());
-        for (row, &column) in target.pivots.iter().enumerate() {
-            s.set_row(column, &inverse.row(row));
-        }
-        let trusted = target
-            .pivots
-            .iter()
-            .enumerate()
-            .all(|(row, &column)| square[(row, row)].abs() > TRUSTED * target.scales[column]);
-        Some(Self { s, trusted })
+        Some(Self { s: target.right_inverse(), trusted: target.is_well_conditioned() })
     }
 
     /// Itself, if its numbers are good enough to make factors of.
@@ -84,6 +73,27 @@ impl CovarianceRoot {
         let inverse = upper_inverse(&u).transpose();
         let first = target.dim_of(parent);
         inverse.rows(first, inverse.nrows() - first).into_owned()
+    }
+}
+
+impl Target {
+    /// S with `R_t S = I`, zero in the rows of columns that hold no pivot. O(rank³).
+    pub(crate) fn right_inverse(&self) -> DMatrix<f64> {
+        let inverse = upper_inverse(&self.root.select_columns(&self.pivots));
+        let mut s = DMatrix::zeros(self.dim(), self.rank());
+        for (row, &column) in self.pivots.iter().enumerate() {
+            s.set_row(column, &inverse.row(row));
+        }
+        s
+    }
+
+    /// Whether [`right_inverse`](Self::right_inverse) has half of the digits or more.
+    pub(crate) fn is_well_conditioned(&self) -> bool {
+        let pivots = self.pivots.iter().enumerate();
+        let is_large = |(row, &column): (usize, &usize)| {
+            self.root[(row, column)].abs() > TRUSTED * self.scales[column]
+        };
+        pivots.into_iter().all(is_large)
     }
 }
 

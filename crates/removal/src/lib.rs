@@ -64,13 +64,16 @@
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]
 
+mod bounded;
 mod condition;
+mod conservative;
 mod covariance;
 mod driver;
 mod error;
 mod groups;
 mod marginals;
 mod member;
+mod merge;
 mod minimum;
 mod motion;
 mod neighborhood;
@@ -84,19 +87,24 @@ mod queue;
 mod rank_qr;
 mod recover;
 mod removal;
+mod replacement;
 mod step;
 mod target;
 mod topology;
+mod whitened;
 mod work;
 
 pub use driver::{Remover, remove_in_order};
 pub use error::RemovalError;
 pub use evergraph_factors::RootShift;
 pub use evergraph_model::belief::{BeliefError, Covariance, Estimates, LinearizedEstimate};
-pub use options::{Guard, MutualInformation, Offset, Options, Rank, Recovery, Topology};
+pub use options::{
+    Consistency, Guard, MutualInformation, Offset, Options, Rank, Recovery, Topology,
+};
 pub use order::{Order, shuffled};
 pub use overlay::Source;
 pub use plan::{Plan, PlannedFactor};
 pub use queue::Loss;
 pub use removal::Removal;
 pub use step::{Fallback, NewFactor, Step};
+pub use whitened::Certificate;

@@ -7,7 +7,7 @@ use crate::potential::Potential;
 use crate::rank_qr::triangle;
 use crate::target::Target;
 
-/// The minimum of a term, in coordinates relative to its first member where it is relative.
+/// The minimum of a term, in coordinates relative to its first member where others move with it.
 pub(crate) struct Minimum {
     /// First entry and rotation part of each member.
     parts: Vec<(usize, usize, usize)>,
@@ -24,13 +24,17 @@ impl Minimum {
         let mut start = 0;
         for k in 0..potential.members.len() {
             let dim = value(k).dim();
-            if potential.relative
-                && let Some(motion) = carried(value(0), value(k))
-            {
+            let motion = carried(value(0), value(k)).filter(|_| k > 0);
+            if let Some(motion) = &motion {
                 let mut own = offset.rows_mut(start, dim);
                 own -= motion * &root;
+                let carried = rows.columns(start, dim) * motion;
+                let mut first = rows.columns_mut(0, root.len());
+                first += carried;
             }
-            parts.push((start, dim, rotation_part(value(k).kind())));
+            if k > 0 {
+                parts.push((start, dim, rotation_part(value(k).kind())));
+            }
             start += dim;
         }
         if potential.relative {
@@ -39,7 +43,8 @@ impl Minimum {
         Self { parts, rows, offset }
     }
 
-    /// The largest turn of a member.
+    /// The largest turn of a member relative to the first. A turn that all have in common only says how hard a linear
+    /// factor pulls, as its length does: it bends with the motion of its variables, not with its offset.
     pub(crate) fn rotation(&self) -> f64 {
         let turn =
             |&(start, dim, turn): &(_, usize, _)| self.offset.rows(start + dim - turn, turn).norm();

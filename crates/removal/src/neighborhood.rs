@@ -80,7 +80,10 @@ impl Neighborhood {
         }
         let mut places = Places::new(removed, &blanket);
         let on_nodes = on_nodes(overlay, removed, &places);
-        let inside = if intra_clique { inside(overlay, &blanket, &places) } else { Vec::new() };
+        let mut inside = if intra_clique { inside(overlay, &blanket, &places) } else { Vec::new() };
+        if options.keep_unary {
+            inside.retain(|(_, factor)| unknowns(overlay, *factor).nth(1).is_some());
+        }
         let fixed = fixed(overlay, on_nodes.iter().chain(&inside).map(|(_, factor)| *factor));
         places.add_fixed(&fixed);
         let ids = [removed, &blanket, &fixed].concat();
@@ -108,6 +111,31 @@ impl Neighborhood {
             }
         }
         Ok(neighborhood)
+    }
+
+    /// Linear factors and priors on one member of the blanket alone that are not spared, nor of low weight. A new term on
+    /// that member can be merged with them without approximation.
+    pub(crate) fn unary(
+        &self,
+        overlay: &Overlay<'_>,
+        member: usize,
+        options: &Options,
+    ) -> Result<Vec<Read>, RemovalError> {
+        let ids: Vec<VariableId> = self.members.iter().map(|m| m.id).collect();
+        let (removed, blanket) = ids.split_at(self.removed);
+        let id = ids[self.removed + member];
+        let mut found = Vec::new();
+        for (source, factor) in overlay.factors_of(id) {
+            let is_known = self.factors.iter().any(|read| read.source == source);
+            if factor.keys() != [id] || is_known || overlay.is_spared(source) {
+                continue;
+            }
+            let read = self.read(source, factor, &Places::new(removed, blanket))?;
+            if !read.is_light(options) && options.recovery.merges(factor) {
+                found.push(read);
+            }
+        }
+        Ok(found)
     }
 
     /// Linearizes a factor on members that is not in the graph.
@@ -234,7 +262,7 @@ fn inside<'o>(
     let mut found = Vec::new();
     for &id in blanket {
         for (source, factor) in overlay.factors_of(id) {
-            let mut unknowns = factor.keys().iter().filter(|&&key| !overlay.is_fixed(key));
+            let mut unknowns = unknowns(overlay, factor);
             let is_inside = unknowns.next() == Some(&id)
                 && !overlay.is_spared(source)
                 && places.in_blanket(id)
@@ -245,6 +273,14 @@ fn inside<'o>(
         }
     }
     found
+}
+
+/// The variables of a factor that are not fixed.
+fn unknowns<'o>(
+    overlay: &'o Overlay<'_>,
+    factor: &'o dyn Factor,
+) -> impl Iterator<Item = &'o VariableId> {
+    factor.keys().iter().filter(|&&key| !overlay.is_fixed(key))
 }
 
 /// The fixed variables of some factors, by slot.

@@ -1,6 +1,7 @@
 //! What to put in the place of a removed node.
 
-use evergraph_factors::RootShift;
+use evergraph_factors::{Linear, RootShift};
+use evergraph_model::Factor;
 use serde::{Deserialize, Serialize};
 
 use crate::error::RemovalError;
@@ -10,12 +11,36 @@ use crate::error::RemovalError;
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Topology {
+    /// The dense factor where the tree would lose more than the additional edges of a dense factor are worth, the tree
+    /// elsewhere.
+    ///
+    /// On a blanket of n variables a dense factor joins `(n - 1)(n - 2) / 2` pairs that a tree does not join. The
+    /// dense factor is taken when the divergence of the tree's information from the target's, in nats, is larger than
+    /// [`Options::nats_per_pair`] times this number. Between two variables it always is. With
+    /// [`Recovery::Nonlinear`] the tree is taken, because a dense factor is no ordinary edge.
+    #[default]
+    Auto,
     /// One factor on the whole blanket: exact, and in the long run a dense graph.
     Dense,
     /// The spanning tree of most mutual information (Chow and Liu): the closest of all trees, with
     /// [`MutualInformation::Limit`].
-    #[default]
     ChowLiu,
+}
+
+/// Bounds on the information of new factors.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Consistency {
+    /// None: least divergence. A tree claims too much in some directions and too little in others.
+    #[default]
+    None,
+    /// `Λ' ≤ Λ_t` in the Loewner order, at the linearization point: new factors claim no more than the factors that
+    /// they replace in any direction, and of all such information on the tree this has the least divergence. The map
+    /// after is then never more certain than the map before. Costs a small convex program for each tree.
+    Conservative,
+    /// The same bound by a common factor on the tree's information. Loses more; for comparison.
+    Scaled,
 }
 
 /// What kind of factors carry the information.
@@ -36,6 +61,14 @@ pub enum Recovery {
     Composition,
     /// Nothing: what the node's factors said of other variables is *lost*. By this name only.
     Drop,
+}
+
+impl Recovery {
+    /// Whether a new unary term can be merged with this factor: both have then one form.
+    pub(crate) fn merges(self, factor: &dyn Factor) -> bool {
+        matches!(factor.downcast::<Linear>(), Some((_, None)))
+            || self == Self::Nonlinear && factor.name().starts_with("Prior")
+    }
 }
 
 /// Where the new factors have their minimum.
@@ -159,8 +192,13 @@ impl Default for Guard {
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
 pub struct Options {
-    /// Default [`Topology::ChowLiu`].
+    /// Default [`Topology::Auto`].
     pub topology: Topology,
+    /// With [`Topology::Auto`], the divergence in nats that a tree may cost for each pair of variables that a dense
+    /// factor would join and the tree does not. 0 makes all removals dense, infinity all trees. Default 0.01.
+    pub nats_per_pair: f64,
+    /// Default [`Consistency::None`].
+    pub consistency: Consistency,
     /// Default [`Recovery::Glc`].
     pub recovery: Recovery,
     /// Default [`Offset::KeepGradient`].
@@ -176,6 +214,11 @@ pub struct Options {
     /// as the papers do: the tree then stands for all that the clique knows, and edges between kept
     /// neighbours do not pile up. `false` leaves them alone. Default `true`.
     pub intra_clique: bool,
+    /// Whether factors on a single kept variable are left alone, and the unary factor of a tree is on the variable of its
+    /// blanket that was added last, merged with those that removals have put there before. `false` absorbs them like all
+    /// factors inside the blanket, as the papers do: what is known of the world is then approximated anew with each
+    /// removal nearby, and drifts. Default `true`.
+    pub keep_unary: bool,
     /// A robust factor of less weight than this where it is linearized (by more than rounding) is not
     /// absorbed: between kept variables it stays, on the node it goes without a trace (the plan lists
     /// it). At 1 only factors that their kernel leaves whole are absorbed. Default 0.01.
@@ -198,12 +241,15 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             topology: Topology::default(),
+            nats_per_pair: 0.01,
+            consistency: Consistency::default(),
             recovery: Recovery::default(),
             offset: Offset::default(),
             root_shift: RootShift::Root,
             mutual_information: MutualInformation::default(),
             rank: Rank::default(),
             intra_clique: true,
+            keep_unary: true,
             least_weight: 0.01,
             guard: Guard::default(),
             linear_within: 0.01,
@@ -226,6 +272,8 @@ impl Options {
         Self {
             offset: Offset::Zero,
             root_shift: RootShift::InverseRoot,
+            keep_unary: false,
+            topology: Topology::ChowLiu,
             mutual_information: MutualInformation::Limit,
             ..Self::default()
         }
@@ -238,6 +286,8 @@ impl Options {
         Self {
             offset: Offset::Zero,
             root_shift: RootShift::Root,
+            keep_unary: false,
+            topology: Topology::ChowLiu,
             mutual_information: MutualInformation::LogDetPlusIdentity,
             rank: Rank::Absolute(1e-8),
             ..Self::default()
@@ -253,6 +303,9 @@ impl Options {
         }
         if (self.topology, self.recovery) == (Topology::Dense, Recovery::Composition) {
             return Err(RemovalError::DenseComposition);
+        }
+        if self.nats_per_pair.is_nan() || self.nats_per_pair < 0.0 {
+            return refuse("nats_per_pair", self.nats_per_pair, "not negative");
         }
         if self.linear_within.is_nan() || self.linear_within < 0.0 {
             return refuse("linear_within", self.linear_within, "not negative");
@@ -280,6 +333,18 @@ impl Options {
     #[must_use]
     pub fn with_topology(self, topology: Topology) -> Self {
         Self { topology, ..self }
+    }
+
+    /// Sets [`nats_per_pair`](Self::nats_per_pair).
+    #[must_use]
+    pub fn with_nats_per_pair(self, nats_per_pair: f64) -> Self {
+        Self { nats_per_pair, ..self }
+    }
+
+    /// Sets [`consistency`](Self::consistency).
+    #[must_use]
+    pub fn with_consistency(self, consistency: Consistency) -> Self {
+        Self { consistency, ..self }
     }
 
     /// Sets [`recovery`](Self::recovery).
@@ -316,6 +381,12 @@ impl Options {
     #[must_use]
     pub fn with_intra_clique(self, intra_clique: bool) -> Self {
         Self { intra_clique, ..self }
+    }
+
+    /// Sets [`keep_unary`](Self::keep_unary).
+    #[must_use]
+    pub fn with_keep_unary(self, keep_unary: bool) -> Self {
+        Self { keep_unary, ..self }
     }
 
     /// Sets [`least_weight`](Self::least_weight).

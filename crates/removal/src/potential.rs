@@ -172,8 +172,23 @@ impl Potential {
         Some(Self::seen_from(target, pose, seen, rows))
     }
 
+    /// A term on one variable.
+    pub(crate) fn on_one(member: usize, rows: DMatrix<f64>) -> Self {
+        Self { members: smallvec![member], rows, relative: false }
+    }
+
+    /// A term on an edge of a tree, columns of the parent first.
+    pub(crate) fn on_edge(
+        target: &Target,
+        parent: usize,
+        child: usize,
+        rows: DMatrix<f64>,
+    ) -> Self {
+        Self { members: smallvec![parent, child], rows, relative: false }.pose_first(target)
+    }
+
     /// `G` in the columns of the whole blanket.
-    fn spread(&self, target: &Target) -> DMatrix<f64> {
+    pub(crate) fn spread(&self, target: &Target) -> DMatrix<f64> {
         let mut rows = DMatrix::zeros(self.rows.nrows(), target.dim());
         let mut source = 0;
         for &m in &self.members {

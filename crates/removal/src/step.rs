@@ -7,16 +7,16 @@ use std::sync::Arc;
 
 use crate::condition::{Conditioning, condition};
 use crate::covariance::CovarianceRoot;
-use crate::error::{MakeError, RemovalError};
+use crate::error::RemovalError;
 use crate::member::Member;
-use crate::minimum::Minimum;
 use crate::neighborhood::{Neighborhood, Read};
-use crate::options::{Guard, Offset, Options, Recovery, Topology};
+use crate::options::{Options, Recovery, Topology};
 use crate::overlay::{Overlay, Source};
-use crate::potential::{Potential, Sum};
-use crate::recover::{self, Made, composition};
+use crate::recover::composition;
+use crate::replacement::{Maker, Replacement};
 use crate::target::Target;
-use crate::topology::Tree;
+use crate::topology::{Tree, Unary};
+use crate::whitened::Certificate;
 
 /// Why a step did not take the form that was asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -36,6 +36,11 @@ pub enum Fallback {
     /// [`Guard::largest_dense`](crate::Guard::largest_dense): the tree stays and its minimum is moved towards
     /// the estimate. A part of the gradient is lost, so that other variables move.
     ShortenedOffset,
+    /// The target is too badly conditioned to be compared with a tree; one factor on the whole blanket reproduces the
+    /// removed factors without approximation. With [`Consistency::Conservative`](crate::Consistency::Conservative).
+    DenseForConsistency,
+    /// The conservative information of least divergence was not found; a common factor on the tree's takes its place.
+    ScaledForConsistency,
 }
 
 /// A factor that a step adds.
@@ -86,6 +91,9 @@ pub struct Step {
     /// Kullback-Leibler divergence in nats, if a covariance was given: see
     /// [`Plan::price`](crate::Plan::price).
     pub price: Option<f64>,
+    /// The information of a tree relative to that of the removed factors; given when a consistency or a price was asked
+    /// for. `None` for other topologies.
+    pub certificate: Option<Certificate>,
     /// See [`Plan::constant`](crate::Plan::constant).
     pub constant: f64,
     /// Residual rows less dimensions of variables: what goes less what comes.
@@ -111,26 +119,13 @@ pub(crate) struct Draft {
     pub(crate) seen: Vec<Member>,
 }
 
-/// New factors, and what they add up to.
-struct Replacement {
-    made: Vec<Made>,
-    topology: Topology,
-    fallback: Option<Fallback>,
-    rows: DMatrix<f64>,
-    /// The whitened residual at the estimate, negated: `G d`.
-    rhs: DVector<f64>,
-    largest_rotation: f64,
-    /// As [`Guard::rotation`](crate::Guard) counts, of trees.
-    known_rotation: f64,
-    largest_length: f64,
-}
-
 impl Draft {
     /// Plans the removal of a node, or of a connected group.
     pub(crate) fn of(
         overlay: &Overlay<'_>,
         removed: &[VariableId],
         options: &Options,
+        certify: bool,
     ) -> Result<Self, RemovalError> {
         if let &[node] = removed
             && overlay.is_fixed(node)
@@ -144,21 +139,19 @@ impl Draft {
             composition::keep_composable(&mut neighborhood, overlay)?;
         }
         let target = Target::of(&neighborhood);
-        let made = |error: MakeError| RemovalError::NotRepresentable {
-            removed: removed.to_vec(),
-            reason: error.to_string(),
-        };
         let replacement = match options.recovery {
             _ if target.members.is_empty() => Replacement::nothing(&target, options.topology),
             Recovery::Drop => Replacement::nothing(&target, options.topology),
             Recovery::Composition => {
                 let covariance = CovarianceRoot::of(&target);
-                let tree = Tree::chow_liu(&target, covariance.as_ref(), options.mutual_information);
+                let weights = options.mutual_information;
+                let tree = Tree::chow_liu(&target, covariance.as_ref(), weights, Unary::OnFirst);
                 let factors = composition::factors(overlay, &neighborhood, &tree)?;
                 Replacement::composed(&neighborhood, &target, factors)?
             }
             Recovery::Glc | Recovery::Nonlinear => {
-                Replacement::exact_or_tree(overlay, &target, options).map_err(made)?
+                let neighborhood = &neighborhood;
+                Maker { overlay, neighborhood, target: &target, options, certify }.replacement()?
             }
         };
         Ok(Self::assemble(&neighborhood, target, replacement))
@@ -179,6 +172,7 @@ impl Draft {
             rank: 0,
             free_directions: 0,
             price: None,
+            certificate: None,
             constant,
             degrees_of_freedom: constant_rows as i64,
             largest_rotation: 0.0,
@@ -195,9 +189,9 @@ impl Draft {
     }
 
     fn assemble(neighborhood: &Neighborhood, target: Target, replacement: Replacement) -> Self {
-        let Replacement { made, rows, rhs, .. } = replacement;
-        let sources = |reads: &[Read]| reads.iter().map(|read| read.source).collect::<Vec<_>>();
-        let gone = || neighborhood.factors.iter().chain(&neighborhood.rejected);
+        let Replacement { made, rows, rhs, merged, .. } = replacement;
+        let absorbed = || neighborhood.factors.iter().chain(merged.iter().map(|(_, read)| read));
+        let gone = || absorbed().chain(&neighborhood.rejected);
         let removed_dims: usize =
             neighborhood.members[..neighborhood.removed].iter().map(|m| m.value.dim()).sum();
         let gone_rows: usize = gone().map(|read| read.rows.nrows()).sum();
@@ -206,15 +200,16 @@ impl Draft {
         // at its best, is that of the reduced graph plus c at the estimate.
         let constant = gone().map(|read| read.error).sum::<f64>()
             - target.explained
-            - 0.5 * rhs.norm_squared();
+            - 0.5 * rhs.norm_squared()
+            + replacement.disagreement;
         let ids = |range: std::ops::Range<usize>| {
             neighborhood.members[range].iter().map(|m| m.id).collect::<Vec<_>>()
         };
         let step = Step {
             removed: ids(0..neighborhood.removed),
             blanket: ids(neighborhood.removed..neighborhood.members.len()),
-            absorbed: sources(&neighborhood.factors),
-            rejected: sources(&neighborhood.rejected),
+            absorbed: absorbed().map(|read| read.source).collect(),
+            rejected: neighborhood.rejected.iter().map(|read| read.source).collect(),
             first_new: 0,
             added: made.iter().map(|m| NewFactor::of(&*m.factor, m.linear)).collect(),
             topology: replacement.topology,
@@ -222,152 +217,35 @@ impl Draft {
             rank: target.rank(),
             free_directions: target.free,
             price: None,
+            certificate: replacement.certificate,
             constant,
             degrees_of_freedom: gone_rows as i64 - removed_dims as i64 - new_rows as i64,
             largest_rotation: replacement.largest_rotation,
             largest_length: replacement.largest_length,
         };
-        let gradient = rows.tr_mul(&rhs) - target.gradient();
+        let (before, gradient) = with_merged(&target, &merged);
+        let gradient = rows.tr_mul(&rhs) - gradient;
         let factors = made.into_iter().map(|m| m.factor).collect();
         let mut seen = target.members;
         seen.extend(neighborhood.fixed.iter().cloned());
-        Self { step, factors, before: target.root, after: rows, gradient, seen }
+        Self { step, factors, before, after: rows, gradient, seen }
     }
 }
 
-impl Replacement {
-    fn nothing(target: &Target, topology: Topology) -> Self {
-        Self {
-            made: Vec::new(),
-            topology,
-            fallback: None,
-            rows: DMatrix::zeros(0, target.dim()),
-            rhs: DVector::zeros(0),
-            largest_rotation: 0.0,
-            known_rotation: 0.0,
-            largest_length: 0.0,
-        }
+/// The square root of the information that goes and its gradient, in the columns of the blanket: of the target and of the
+/// factors that are merged with new ones.
+fn with_merged(target: &Target, merged: &[(usize, Read)]) -> (DMatrix<f64>, DVector<f64>) {
+    let count: usize = merged.iter().map(|(_, read)| read.rows.nrows()).sum();
+    let (mut gradient, mut top) = (target.gradient(), target.root.nrows());
+    let mut root = target.root.clone().resize_vertically(top + count, 0.0);
+    for (member, read) in merged {
+        let columns = target.columns(*member);
+        let (jacobian, b) = read.rows.columns_range_pair(0..columns.len(), columns.len());
+        let mut own = gradient.rows_range_mut(columns.clone());
+        own.gemv_tr(1.0, &jacobian, &b, 1.0);
+        root.view_mut((top, columns.start), (read.rows.nrows(), columns.len()))
+            .copy_from(&jacobian);
+        top += read.rows.nrows();
     }
-
-    /// What was composed adds up to what its factors say at the estimate.
-    fn composed(
-        neighborhood: &Neighborhood,
-        target: &Target,
-        factors: Vec<Arc<dyn Factor>>,
-    ) -> Result<Self, RemovalError> {
-        let mut new = Self::nothing(target, Topology::ChowLiu);
-        for factor in factors {
-            let read = neighborhood.read_new(&*factor)?;
-            let (top, width) = (new.rows.nrows(), read.rows.ncols() - 1);
-            let count = read.rows.nrows();
-            new.rows = new.rows.resize_vertically(top + count, 0.0);
-            new.rhs = new.rhs.resize_vertically(top + count, 0.0);
-            let mut source = 0;
-            for &m in &read.members {
-                let columns = target.columns(m - neighborhood.removed);
-                let mut block = new.rows.view_mut((top, columns.start), (count, columns.len()));
-                block.copy_from(&read.rows.columns(source, columns.len()));
-                source += columns.len();
-            }
-            let rhs = read.rows.column(width);
-            new.rhs.rows_mut(top, count).copy_from(&rhs);
-            new.largest_length = new.largest_length.max(rhs.norm());
-            new.made.push(Made { factor, linear: false });
-        }
-        Ok(new)
-    }
-
-    /// The topology that was asked for, if it holds what the target holds and can be trusted, else
-    /// the next closer one.
-    fn exact_or_tree(
-        overlay: &Overlay<'_>,
-        target: &Target,
-        options: &Options,
-    ) -> Result<Self, MakeError> {
-        let mut fallback = None;
-        if options.topology == Topology::ChowLiu {
-            let covariance = CovarianceRoot::of(target);
-            let tree = Tree::chow_liu(target, covariance.as_ref(), options.mutual_information);
-            let kinds: &[Recovery] = match options.recovery {
-                Recovery::Nonlinear => &[Recovery::Nonlinear, Recovery::Glc],
-                _ => &[Recovery::Glc],
-            };
-            for &recovery in kinds {
-                let potentials = Potential::of_tree(target, covariance.as_ref(), &tree, recovery);
-                let sum = Sum::of(target, &potentials);
-                if sum.rank < target.rank() {
-                    fallback = Some(match recovery {
-                        Recovery::Nonlinear => Fallback::LinearTreeForRank,
-                        _ => Fallback::DenseForRank,
-                    });
-                    continue;
-                }
-                let own = Options { recovery, ..*options };
-                let new = Self::make(overlay, target, &potentials, sum.rows, &sum.minimum, &own)?;
-                let guard = &options.guard;
-                // Between two, a tree is what one factor would be, unless recovery splits it further.
-                let is_exact = target.members.len() <= 2
-                    && (recovery == Recovery::Glc || potentials.iter().all(|p| p.relative));
-                let is_near =
-                    new.known_rotation <= guard.rotation && new.largest_length <= guard.mahalanobis;
-                if is_exact || is_near {
-                    return Ok(Self { fallback, ..new });
-                }
-                if target.members.len() > guard.largest_dense {
-                    let share = new.allowed_share(guard);
-                    let minimum = &sum.minimum * share;
-                    let new = Self::make(overlay, target, &potentials, new.rows, &minimum, &own)?;
-                    return Ok(Self { fallback: Some(Fallback::ShortenedOffset), ..new });
-                }
-                fallback = Some(Fallback::DenseForOffset);
-                break;
-            }
-        }
-        let potentials = Potential::dense(target);
-        let root = target.root.clone();
-        let new = Self::make(overlay, target, &potentials, root, &target.minimum(), options)?;
-        Ok(Self { topology: Topology::Dense, fallback, ..new })
-    }
-
-    /// The share of the offset that is within the limits of a guard.
-    fn allowed_share(&self, guard: &Guard) -> f64 {
-        let share = |limit: f64, actual: f64| if actual > limit { limit / actual } else { 1.0 };
-        let rotation = share(guard.rotation, self.known_rotation);
-        rotation.min(share(guard.mahalanobis, self.largest_length))
-    }
-
-    fn make(
-        overlay: &Overlay<'_>,
-        target: &Target,
-        potentials: &[Potential],
-        rows: DMatrix<f64>,
-        minimum: &DVector<f64>,
-        options: &Options,
-    ) -> Result<Self, MakeError> {
-        let minimum = match options.offset {
-            Offset::KeepGradient => minimum.clone(),
-            Offset::Zero => DVector::zeros(target.dim()),
-        };
-        let mut new = Self::nothing(target, Topology::ChowLiu);
-        for potential in potentials {
-            let offset = potential.part(target, &minimum);
-            let term = Minimum::of(target, potential, &offset);
-            let rotation = term.rotation();
-            new.largest_rotation = new.largest_rotation.max(rotation);
-            // Most terms are near enough as they are; of dense ones nobody asks.
-            let is_near = rotation <= options.guard.rotation || potential.members.len() > 2;
-            let known = if is_near { rotation } else { term.known().rotation() };
-            new.known_rotation = new.known_rotation.max(known);
-            new.largest_length = new.largest_length.max((&potential.rows * &offset).norm());
-            // Counted from where the members are seen.
-            let delta = potential.members.iter().flat_map(|&m| target.members[m].delta.iter());
-            let offset = DVector::from_iterator(
-                offset.len(),
-                offset.iter().zip(delta).map(|(offset, delta)| offset + delta),
-            );
-            new.made.extend(recover::make(overlay.graph, target, potential, &offset, options)?);
-        }
-        new.rhs = &rows * &minimum;
-        Ok(Self { rows, ..new })
-    }
+    (root, gradient)
 }

@@ -19,6 +19,16 @@ pub(crate) struct Tree {
     pub(crate) edges: Vec<(usize, usize)>,
 }
 
+/// The variable that the unary factor of a tree is on, of those of highest marginal rank.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Unary {
+    /// The variable that was added last. Where the oldest variables are removed first it is removed last, and until then
+    /// nothing approximates the unary factor again.
+    OnNewest,
+    /// The first by slot.
+    OnFirst,
+}
+
 /// Mutual information of a pair under a vanishing prior ε: `-½ nullity ln ε + finite`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Weight {
@@ -43,9 +53,10 @@ impl Tree {
         target: &Target,
         covariance: Option<&CovarianceRoot>,
         weights: MutualInformation,
+        unary: Unary,
     ) -> Self {
         let n = target.members.len();
-        let root = root(target);
+        let root = root(target, unary);
         let weight = weights_of(target, covariance, weights);
         // Prim: grow from the root by the heaviest edge that leaves the tree.
         let mut best: Vec<(Weight, usize)> = (0..n).map(|k| (weight(k, root), root)).collect();
@@ -70,8 +81,8 @@ impl Tree {
     }
 }
 
-/// The held pose if all is relative, else the first variable of highest marginal rank.
-fn root(target: &Target) -> usize {
+/// The held pose if all is relative, else a variable of highest marginal rank.
+fn root(target: &Target, unary: Unary) -> usize {
     let all = 0..target.members.len();
     if all.clone().all(|k| target.is_relative(k))
         && let Some(held) = target.held().next()
@@ -86,7 +97,11 @@ fn root(target: &Target) -> usize {
             marginals.map(|(k, rows)| target.reduced(k, rows).nrows()).collect()
         }
     };
-    all.rev().max_by_key(|&k| ranks[k]).unwrap_or(0)
+    match unary {
+        Unary::OnNewest => all.max_by_key(|&k| (ranks[k], target.members[k].id)),
+        Unary::OnFirst => all.rev().max_by_key(|&k| ranks[k]),
+    }
+    .unwrap_or(0)
 }
 
 type WeightOf<'a> = Box<dyn Fn(usize, usize) -> Weight + 'a>;

@@ -10,7 +10,7 @@ use crate::error::RemovalError;
 use crate::groups::groups;
 use crate::member::Member;
 use crate::neighborhood::blanket;
-use crate::options::{Options, Recovery, Topology};
+use crate::options::{Consistency, Options, Recovery, Topology};
 use crate::order::Order;
 use crate::overlay::Overlay;
 use crate::price::{Ledger, divergence};
@@ -113,7 +113,8 @@ impl Remover for Work<'_, '_> {
 impl Work<'_, '_> {
     /// Plans a step, and prices it if there is a covariance.
     fn draft(&mut self, removed: &[VariableId]) -> Result<Draft, RemovalError> {
-        let mut draft = Draft::of(self.overlay, removed, self.options)?;
+        let certify = self.covariance.is_some() || self.options.consistency != Consistency::None;
+        let mut draft = Draft::of(self.overlay, removed, self.options, certify)?;
         if draft.before.ncols() == 0 {
             // Nothing changes for a kept variable.
             draft.step.price = self.covariance.as_ref().map(|_| 0.0);

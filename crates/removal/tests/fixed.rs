@@ -88,7 +88,8 @@ fn check(scene: &Scene, node: VariableId, fixed: &[VariableId], options: Options
     let scale = (node_dim..full.nrows()).map(|i| full[(i, i)].sqrt().max(floor)).collect();
     let blanket = step.blanket.clone();
     let answer = Answer { blanket, lambda, eta, scale, stack, node_dim };
-    let (new, gradient) = normal(&added(scene, &plan, &step.blanket));
+    let factors = plan.change().new_factors().iter().map(|(_, factor)| &**factor);
+    let (new, gradient) = normal(&scene.stack(factors, &step.blanket));
     assert_same_gradient(&gradient, &answer.eta, &answer, 1e-7);
     if step.topology == evergraph_removal::Topology::Dense {
         assert_close(&new, &answer.lambda, &answer.scale, 1e-8, &what);

@@ -193,7 +193,8 @@ fn what_is_spared_stays() {
     let prior = graph.factors().find(|(_, factor)| factor.keys().len() == 1).unwrap().0;
     let nodes = [keys[1].id()];
     let plan = |spared: &[FactorId]| {
-        let removal = Removal::new(graph, &values).with_options(Options::dense());
+        let removal =
+            Removal::new(graph, &values).with_options(Options::dense().with_keep_unary(false));
         removal.sparing(spared).plan_many(&nodes, Order::Given).unwrap()
     };
     let (absorbed, spared) = (plan(&[]), plan(&[prior]));
@@ -209,7 +210,8 @@ fn what_is_spared_stays() {
         assert!((&found.1 - &expected.1).amax() < 1e-9);
     }
     // On the node itself there is nothing to be left alone.
-    let removal = Removal::new(graph, &values).with_options(Options::dense());
+    let removal =
+        Removal::new(graph, &values).with_options(Options::dense().with_keep_unary(false));
     let first = removal.sparing(&[prior]).plan(keys[0].id()).unwrap();
     assert!(first.steps()[0].absorbed.contains(&Source::Graph(prior)));
 }

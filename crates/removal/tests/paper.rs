@@ -228,7 +228,7 @@ fn relative_trees<G: LieGroup<N>, const N: usize>(count: usize, seed: u64) -> [D
         ] {
             let rules = match mutual_information {
                 MutualInformation::Limit => Options::paper(),
-                _ => Options::default(),
+                _ => tree(),
             };
             let options = rules.with_root_shift(root_shift).with_recovery(recovery);
             let plan = scene.plan(node, options);

@@ -58,11 +58,11 @@ fn many_prices_are_close_to_the_divergence_of_all_of_it() {
     let before = marginal(&scene, &kept);
     let mut totals = Vec::new();
     for order in [Order::Given, Order::MinDegree, Order::MinLoss, Order::Random(1)] {
-        let plan = priced(&scene, &nodes, order, Options::default());
+        let plan = priced(&scene, &nodes, order, tree());
         let exact = divergence(&before, &marginal(&reduced(&scene, &plan), &kept));
         let price = plan.price().unwrap();
         assert!((price / exact - 1.0).abs() < 0.3, "{order:?}: {price} for {exact}");
-        let again = priced(&scene, &nodes, order, Options::default());
+        let again = priced(&scene, &nodes, order, tree());
         assert_eq!(plan.steps(), again.steps(), "the same plan each time");
         totals.push(exact);
     }
@@ -149,6 +149,7 @@ fn a_motion_in_common_changes_no_price() {
         assert!(turn.abs() > 0.6, "the estimate is far from the point: {turn}");
         let price = |smoother: &Smoother| {
             let plan = Removal::new(smoother.graph(), smoother)
+                .with_options(tree())
                 .priced_by(&mut smoother.covariances())
                 .plan(keys[k])
                 .unwrap();

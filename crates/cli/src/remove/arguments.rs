@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use evergraph::formats::{Dialect, Document, WriteOptions};
-use evergraph::removal::{Offset, Options, Order, Recovery, Topology};
+use evergraph::removal::{Consistency, Offset, Options, Order, Recovery, Topology};
 use evergraph::solver::Settings;
 use serde_json::{Value, json};
 
@@ -33,10 +33,33 @@ out to replay them.";
 /// Which of the blanket's variables the new factors join.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum TopologyName {
+    /// All of them where the tree would lose more than that is worth
+    Auto,
     /// All of them: exact, and denser each time
     Dense,
     /// The Chow-Liu tree
     Tree,
+}
+
+/// Bounds on the information of new factors.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum ConsistencyName {
+    /// No bound: least divergence
+    None,
+    /// Never more than was known in any direction
+    Conservative,
+    /// The same bound by one common factor; for comparison
+    Scaled,
+}
+
+impl From<ConsistencyName> for Consistency {
+    fn from(name: ConsistencyName) -> Self {
+        match name {
+            ConsistencyName::None => Self::None,
+            ConsistencyName::Conservative => Self::Conservative,
+            ConsistencyName::Scaled => Self::Scaled,
+        }
+    }
 }
 
 /// What kind of factors carry the information.
@@ -96,9 +119,16 @@ pub(crate) struct Arguments {
     /// Decides what is chosen at random
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Which neighbours the new factors join
-    #[arg(long, value_enum, default_value = "tree")]
-    topology: TopologyName,
+    /// Which neighbours the new factors join [default: auto; of the modes paper and isam: tree]
+    #[arg(long, value_enum)]
+    topology: Option<TopologyName>,
+    /// With --topology auto, nats that a tree may lose for each pair of neighbours that a dense factor would join in
+    /// addition
+    #[arg(long, value_name = "NATS", default_value_t = Options::default().nats_per_pair)]
+    nats_per_pair: f64,
+    /// Whether new factors may claim more than was known
+    #[arg(long, value_enum, default_value = "none")]
+    consistency: ConsistencyName,
     /// What kind of factors carry the information
     #[arg(long, value_enum, default_value = "glc")]
     recovery: RecoveryName,
@@ -144,9 +174,13 @@ impl Arguments {
         };
         rules
             .with_topology(match self.topology {
-                TopologyName::Dense => Topology::Dense,
-                TopologyName::Tree => Topology::ChowLiu,
+                Some(TopologyName::Auto) => Topology::Auto,
+                Some(TopologyName::Dense) => Topology::Dense,
+                Some(TopologyName::Tree) => Topology::ChowLiu,
+                None => rules.topology,
             })
+            .with_nats_per_pair(self.nats_per_pair)
+            .with_consistency(self.consistency.into())
             .with_recovery(match self.recovery {
                 RecoveryName::Glc => Recovery::Glc,
                 RecoveryName::Nonlinear => Recovery::Nonlinear,

@@ -12,7 +12,9 @@ pub use drive::{drive, optimum};
 
 use evergraph_factors::{Linear, Prior};
 use evergraph_model::*;
-use evergraph_removal::{Offset, Options, Order, Plan, Recovery, Removal, RootShift, Topology};
+use evergraph_removal::{
+    Consistency, Offset, Options, Order, Plan, Recovery, Removal, RootShift, Topology,
+};
 use nalgebra::{DMatrix, DVector};
 
 /// A graph with a point for every variable.
@@ -234,9 +236,19 @@ pub fn answer(scene: &Scene, removed: &[VariableId], blanket: &[VariableId]) -> 
     Answer { blanket: blanket.to_vec(), lambda, eta, scale, stack, node_dim }
 }
 
-/// `(J, r)` of what a plan adds, over a blanket.
+/// `(J, r)` of what a plan adds, over a blanket, and of the factors inside the blanket that stay.
 pub fn added(scene: &Scene, plan: &Plan, blanket: &[VariableId]) -> (DMatrix<f64>, DVector<f64>) {
-    scene.stack(plan.change().new_factors().iter().map(|(_, f)| &**f), blanket)
+    let is_dropped = |id| plan.dropped().iter().any(|(dropped, _)| *dropped == id);
+    let stays = scene.graph.factors().filter(|(id, factor)| {
+        !is_dropped(*id) && factor.keys().iter().all(|key| blanket.contains(key))
+    });
+    let new = plan.change().new_factors().iter().map(|(_, f)| &**f);
+    scene.stack(new.chain(stays.map(|(_, factor)| factor)), blanket)
+}
+
+/// Trees with all that is inside the blanket, as in the papers.
+pub fn tree() -> Options {
+    Options::default().with_topology(Topology::ChowLiu).with_keep_unary(false)
 }
 
 pub fn assert_close(a: &DMatrix<f64>, b: &DMatrix<f64>, scale: &[f64], tolerance: f64, what: &str) {
@@ -337,13 +349,18 @@ pub fn priced(scene: &Scene, nodes: &[VariableId], order: Order, options: Option
 }
 
 /// Ways that keep both the gradient and every direction.
-pub fn keeping() -> [Options; 5] {
+pub fn keeping() -> [Options; 9] {
+    let kept = Options::default().with_topology(Topology::ChowLiu);
     [
         Options::default(),
         Options::dense(),
-        Options::default().with_recovery(Recovery::Nonlinear),
-        Options::default().with_root_shift(RootShift::InverseRoot),
-        Options::default().with_intra_clique(false),
+        Options::dense().with_keep_unary(false),
+        kept,
+        kept.with_recovery(Recovery::Nonlinear),
+        kept.with_consistency(Consistency::Conservative),
+        tree().with_recovery(Recovery::Nonlinear),
+        tree().with_root_shift(RootShift::InverseRoot),
+        tree().with_intra_clique(false),
     ]
 }
 

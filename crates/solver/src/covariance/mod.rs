@@ -23,6 +23,7 @@
 //! association", RAS 2009, by cliques.
 
 mod clique;
+mod product;
 mod substitution;
 
 use std::collections::BTreeMap;
