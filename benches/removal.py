@@ -70,7 +70,7 @@ def loss(evergraph, table):
                 price = ["--no-price"] if seed > 1 or order == "min-degree" else []
                 return evergraph.report(
                     "remove", file_of(name), "--fraction", str(percent / 100), "--order", order, "--seed", str(seed),
-                    *price)
+                    "--topology", "tree", *price)
 
             random = [run("random", seed) for seed in SEEDS]
             degree, least = run("min-degree"), run("min-loss")
@@ -93,7 +93,8 @@ def prices(evergraph, table):
         for percent in (10, 30, 50, 70, 90):
             for order, seed in (("random", 1), ("random", 2), ("min-degree", 1), ("min-loss", 1)):
                 report = evergraph.report(
-                    "remove", file_of(name), "--fraction", str(percent / 100), "--order", order, "--seed", str(seed))
+                    "remove", file_of(name), "--fraction", str(percent / 100), "--order", order, "--seed", str(seed),
+                    "--topology", "tree")
                 price, loss = report["price_sum"], report["kld_covariance"]
                 if order == "random":
                     ratio[percent] = price / loss
@@ -121,7 +122,8 @@ def isam(evergraph, table):
     ]:
         def mean(mode):
             reports = [evergraph.report(
-                "remove", file_of(MANHATTAN), *choice, "--seed", str(seed), "--mode", mode, "--no-price")
+                "remove", file_of(MANHATTAN), *choice, "--seed", str(seed), "--mode", mode,
+                "--topology", "tree", "--no-price")
                 for seed in seeds]
             return statistics.mean(report["kld_covariance_per_dof"] for report in reports)
 
@@ -153,7 +155,7 @@ def time(evergraph, table):
     """Time for a node."""
     table.header("graph", "removed", "plan p50, ms", "p99", "apply p50, ms", "p99", "both p99", "max")
     for name in GRAPHS + ["city10000.txt", "victoriaPark.txt"]:
-        report = evergraph.report("remove", file_of(name), "--fraction", "0.5", "--no-price")
+        report = evergraph.report("remove", file_of(name), "--fraction", "0.5", "--topology", "tree", "--no-price")
         plan, apply, both = report["plan_ms"], report["apply_ms"], report["time_per_node_ms"]
         table.row(
             name, "50 %", f"{plan['p50']:.3f}", f"{plan['p99']:.3f}", f"{apply['p50']:.3f}", f"{apply['p99']:.3f}",

@@ -15,9 +15,9 @@ const SEED: u64 = 1;
 
 /// What is compared: a name and its options.
 fn variants() -> Vec<(&'static str, Options)> {
-    let tree = |recovery, offset| Options::default().with_recovery(recovery).with_offset(offset);
+    let tree = |recovery, offset| Options::tree().with_recovery(recovery).with_offset(offset);
     vec![
-        ("dense, gradient", Options::default().with_topology(Topology::Dense)),
+        ("dense, gradient", Options::dense()),
         ("GLC, gradient", tree(Recovery::Glc, Offset::KeepGradient)),
         ("GLC, paper offset", tree(Recovery::Glc, Offset::Zero)),
         ("nonlinear, gradient", tree(Recovery::Nonlinear, Offset::KeepGradient)),

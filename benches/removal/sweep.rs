@@ -146,7 +146,7 @@ fn try_one(
     let candidates = &shuffled(nodes, variant.seed)[..pool];
     let options = match variant.topology {
         Topology::Dense => Options::dense().with_largest_blanket(LARGEST_DENSE),
-        _ => Options::default(),
+        _ => Options::tree(),
     };
     let rules = Rules::default()
         .with_order(variant.order)

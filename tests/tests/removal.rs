@@ -53,14 +53,14 @@ fn remove(smoother: &mut Smoother, nodes: &[VariableId], options: Options) {
 fn removal_at_the_optimum_moves_nothing() {
     let Some((full, poses)) = optimum("removal_at_the_optimum_moves_nothing") else { return };
     for (options, share) in [
-        (Options::default(), 0.1),
-        (Options::default(), 0.5),
-        (Options::default(), 0.9),
+        (Options::tree(), 0.1),
+        (Options::tree(), 0.5),
+        (Options::tree(), 0.9),
         (Options::dense(), 0.1),
         (Options::dense(), 0.5),
-        (Options::default().with_recovery(Recovery::Nonlinear), 0.1),
-        (Options::default().with_recovery(Recovery::Nonlinear), 0.5),
-        (Options::default().with_recovery(Recovery::Nonlinear), 0.9),
+        (Options::tree().with_recovery(Recovery::Nonlinear), 0.1),
+        (Options::tree().with_recovery(Recovery::Nonlinear), 0.5),
+        (Options::tree().with_recovery(Recovery::Nonlinear), 0.9),
     ] {
         let mut reduced = full.clone();
         let nodes = &poses[..(share * poses.len() as f64) as usize];

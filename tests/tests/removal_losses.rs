@@ -73,7 +73,7 @@ fn nothing_fails_and_nothing_comes_free() {
             .iter()
             .flat_map(|&percent| {
                 let orders = [Order::Random(1), Order::Random(2), Order::MinDegree];
-                orders.map(|order| (Options::default(), percent, order))
+                orders.map(|order| (Options::tree(), percent, order))
             })
             .chain([10, 50].map(|percent| (Options::dense(), percent, Order::Random(1))));
         for (options, percent, order) in variants {
@@ -93,7 +93,7 @@ fn maps_of_landmarks_stay_where_they_are() {
     let file = "landmark/world-2000-full.g2o";
     let Some(full) = Full::read("maps_of_landmarks_stay_where_they_are", file) else { return };
     for order in [Order::Random(1), Order::MinDegree] {
-        let (mut reduced, _) = full.thinned(67, order, Options::default(), false);
+        let (mut reduced, _) = full.thinned(67, order, Options::tree(), false);
         let before = reduced.error().unwrap();
         reduced.optimize(&BatchSettings::default()).unwrap();
         let fell = before - reduced.error().unwrap();
@@ -107,8 +107,7 @@ fn maps_of_landmarks_stay_where_they_are() {
 fn maps_of_ranges_stay_where_they_are() {
     for (file, percent) in [("range/plaza1.pyfg", 10), ("range/single_drone.pyfg", 50)] {
         let Some(full) = Full::read("maps_of_ranges_stay_where_they_are", file) else { return };
-        let (reduced, thinning) =
-            full.thinned(percent, Order::Random(1), Options::default(), false);
+        let (reduced, thinning) = full.thinned(percent, Order::Random(1), Options::tree(), false);
         let constant: f64 = thinning.removed.iter().map(|it| it.constant).sum();
         let (was, is) = (full.smoother.estimates().unwrap(), reduced.estimates().unwrap());
         let moved = is.iter().map(|(id, now)| {
@@ -137,7 +136,7 @@ fn trees_lose_what_isam_loses() {
                 |seed| full.loss(&full.thinned(percent, Order::Random(seed), options, false).0);
             (1..=3).map(loss).sum::<f64>() / 3.0
         };
-        let (ours, isam) = (mean(Options::default()), mean(Options::isam()));
+        let (ours, isam) = (mean(Options::tree()), mean(Options::isam()));
         assert!(near.contains(&isam), "{percent}: {isam}");
         assert!(ours / isam < 1.02, "{percent}: {ours} {isam}");
     }
@@ -145,7 +144,7 @@ fn trees_lose_what_isam_loses() {
     let every_second = Full { nodes: every_second, ..full };
     let loss =
         |options| every_second.loss(&every_second.thinned(100, Order::Given, options, false).0);
-    let (ours, isam) = (loss(Options::default()), loss(Options::isam()));
+    let (ours, isam) = (loss(Options::tree()), loss(Options::isam()));
     assert!((0.033..0.035).contains(&isam), "{isam}");
     assert!(ours / isam < 1.02, "every second: {ours} {isam}");
 }
@@ -161,7 +160,7 @@ fn damped_trees_lose_little_more_anywhere() {
     ] {
         let Some(full) = Full::read("damped_trees_lose_little_more_anywhere", file) else { return };
         let loss = |mutual_information| {
-            let options = Options::default().with_mutual_information(mutual_information);
+            let options = Options::tree().with_mutual_information(mutual_information);
             full.loss(&full.thinned(percent, order, options, false).0)
         };
         let ratio = loss(MutualInformation::Damped) / loss(MutualInformation::Limit);
@@ -175,7 +174,7 @@ fn the_order_of_least_loss_loses_less_and_prices_track_losses() {
     for file in ["pose2d/flat_duderstadt.g2o", "pose2d/intel_943.g2o"] {
         let Some(full) = Full::read(test, file) else { return };
         for percent in [10, 50] {
-            let options = Options::default();
+            let options = Options::tree();
             let (least, _) = full.thinned(percent, Order::MinLoss, options, false);
             let (random, thinning) = full.thinned(percent, Order::Random(1), options, true);
             let (least, loss) = (full.loss(&least), full.loss(&random));

@@ -31,7 +31,7 @@ pub(crate) struct Program {
     pub(crate) columns: DMatrix<f64>,
     /// Entries (row, column) of Y that may differ from zero, rows not above columns.
     pub(crate) pattern: Vec<(usize, usize)>,
-    /// A Y on the pattern with M positive definite.
+    /// A Y on the pattern with M positive definite. Its rows and columns are those of the columns of `B`.
     pub(crate) start: DMatrix<f64>,
 }
 
@@ -248,5 +248,83 @@ impl Terms {
             }
         }
         hessian.cholesky()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    /// Blocks of `k` columns, orthonormal within a block, as a tree's terms are.
+    fn program(terms: usize, k: usize, rng: &mut ChaCha8Rng) -> Program {
+        let n = terms * k;
+        let mut columns = DMatrix::from_fn(n, n, |_, _| rng.random_range(-1.0..1.0));
+        for t in 0..terms {
+            let q = columns.columns(t * k, k).into_owned().qr().q();
+            columns.columns_mut(t * k, k).copy_from(&q);
+        }
+        let block =
+            |t: usize| (t * k..(t + 1) * k).flat_map(move |i| (t * k..=i).map(move |j| (i, j)));
+        Program {
+            columns,
+            pattern: (0..terms).flat_map(block).collect(),
+            start: DMatrix::identity(n, n),
+        }
+    }
+
+    fn largest(m: &DMatrix<f64>) -> f64 {
+        m.clone().symmetric_eigenvalues().max()
+    }
+
+    /// Half of `tr M - n - ln det M`.
+    fn divergence(m: &DMatrix<f64>) -> f64 {
+        0.5 * (m.trace() - m.nrows() as f64 - m.determinant().ln())
+    }
+
+    /// No step on the pattern that stays below the bound gains more than the gap, and the bound holds strictly.
+    #[test]
+    fn weights_are_the_best_on_their_pattern() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        for (terms, k) in [(2, 1), (3, 3), (9, 3), (2, 6), (5, 6)] {
+            let program = program(terms, k, &mut rng);
+            let tree = program.sum(&program.start);
+            let weights = program.solve(largest(&tree)).unwrap();
+            let best = program.sum(&weights.y);
+            assert!(largest(&best) < 1.0 && weights.gap <= GAP);
+            let found = divergence(&best);
+            let scaled = divergence(&(&tree / largest(&tree)));
+            assert!(divergence(&tree) < found && found < scaled, "{terms} {k}");
+            for _ in 0..200 {
+                let mut step = DMatrix::zeros(terms * k, terms * k);
+                for &(i, j) in &program.pattern {
+                    step[(i, j)] = rng.random_range(-1.0..1.0);
+                    step[(j, i)] = step[(i, j)];
+                }
+                for size in [1e-1, 1e-3, 1e-5] {
+                    let other = program.sum(&(&weights.y + &step * size));
+                    let is_allowed = largest(&other) <= 1.0 && other.clone().cholesky().is_some();
+                    assert!(!is_allowed || divergence(&other) > found - GAP, "{terms} {k} {size}");
+                }
+            }
+        }
+    }
+
+    /// Two directions a with `B = [1 a; 0 b]`: `Y = diag(y₁, y₂)` has its best in closed form when `y₁ = y₂`.
+    #[test]
+    fn two_scalars_have_the_answer_by_hand() {
+        let (a, b) = (0.6, 0.8);
+        let program = Program {
+            columns: DMatrix::from_row_slice(2, 2, &[1.0, a, 0.0, b]),
+            pattern: vec![(0, 0), (1, 1)],
+            start: DMatrix::identity(2, 2),
+        };
+        let weights = program.solve(largest(&program.sum(&program.start))).unwrap();
+        // By symmetry the weights are equal; the eigenvalues of M are y (1 ± a).
+        for k in 0..2 {
+            assert!((weights.y[(k, k)] - 1.0 / (1.0 + a)).abs() < 1e-3, "{}", weights.y);
+        }
     }
 }

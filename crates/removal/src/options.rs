@@ -169,9 +169,9 @@ impl Default for Guard {
 
 /// How nodes are removed.
 ///
-/// The default is what a robot wants that goes on for years: trees, which stay sparse however often
-/// one removes (a dense clique grows with each removal near it), generic linear constraints, which
-/// exist for every type and rank, and the gradient kept, so that removal moves nothing.
+/// The default is made for robots that map for years: dense factors where they are small enough for what a tree would
+/// lose, trees elsewhere ([`Topology::Auto`]), generic linear constraints, which exist for every type and rank, and the
+/// gradient kept, so that removal moves nothing.
 ///
 /// Options can be read from partial data; a name that is no field is refused.
 ///
@@ -263,6 +263,12 @@ impl Options {
     #[must_use]
     pub fn dense() -> Self {
         Self { topology: Topology::Dense, ..Self::default() }
+    }
+
+    /// Trees on all blankets: sparse however often nodes are removed nearby.
+    #[must_use]
+    pub fn tree() -> Self {
+        Self { topology: Topology::ChowLiu, ..Self::default() }
     }
 
     /// Equations 1 to 9 of the GLC paper to the letter: offset zero, coordinates of equation 5, mutual

@@ -46,7 +46,7 @@ proptest! {
     #[test]
     fn a_tree_keeps_gradient_and_null_space(kind in 0..KINDS.len(), count in 1..6usize, seed: u64) {
         for recovery in [Recovery::Glc, Recovery::Nonlinear] {
-            let options = Options::default().with_topology(Topology::ChowLiu).with_recovery(recovery);
+            let options = Options::tree().with_recovery(recovery);
             for consistency in [Consistency::None, Consistency::Conservative, Consistency::Scaled] {
                 let options = options.with_consistency(consistency);
                 check_information_and_gradient(KINDS[kind], count, seed, options);

@@ -171,7 +171,9 @@ impl Smoother {
         self.lap(Phase::Detach);
         let is_far = policy.fluid.is_some_and(|fluid| moved.largest > fluid.threshold);
         match begun {
-            Ok(work) if is_far && self.may_be_at_once() || spread == 1 || work <= SMALLEST_SLICE => {
+            Ok(work)
+                if is_far && self.may_be_at_once() || spread == 1 || work <= SMALLEST_SLICE =>
+            {
                 self.relinearize_at_once(report);
                 is_far && report.relinearization_refused.is_none()
             }

@@ -54,7 +54,7 @@ const WEAKEST: f64 = 1e-15;
 
 /// All ways to remove, with the order.
 fn ways(how: u8) -> (Options, Order) {
-    let tree = Options::default().with_least_weight(0.0);
+    let tree = Options::tree().with_least_weight(0.0);
     let dense = tree.with_topology(Topology::Dense);
     let nonlinear = tree.with_recovery(Recovery::Nonlinear);
     let ways = [
@@ -233,7 +233,7 @@ impl World {
             let step = vec![f64::NAN; value.dim()];
             Ok(value.retract(&step).expect("the step has its dimension"))
         };
-        let default = Options::default();
+        let default = Options::tree();
         let plan = |nodes: &[VariableId], options| {
             let result = self.plan(nodes, options, Order::Given);
             result.err().unwrap_or_else(|| panic!("failure {} was planned", how % 7))

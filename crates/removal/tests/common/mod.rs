@@ -18,6 +18,7 @@ use evergraph_removal::{
 use nalgebra::{DMatrix, DVector};
 
 /// A graph with a point for every variable.
+#[derive(Clone)]
 pub struct Scene {
     pub graph: Graph,
     pub data: Vec<f64>,
@@ -248,7 +249,7 @@ pub fn added(scene: &Scene, plan: &Plan, blanket: &[VariableId]) -> (DMatrix<f64
 
 /// Trees with all that is inside the blanket, as in the papers.
 pub fn tree() -> Options {
-    Options::default().with_topology(Topology::ChowLiu).with_keep_unary(false)
+    Options::tree().with_keep_unary(false)
 }
 
 pub fn assert_close(a: &DMatrix<f64>, b: &DMatrix<f64>, scale: &[f64], tolerance: f64, what: &str) {
@@ -350,7 +351,7 @@ pub fn priced(scene: &Scene, nodes: &[VariableId], order: Order, options: Option
 
 /// Ways that keep both the gradient and every direction.
 pub fn keeping() -> [Options; 9] {
-    let kept = Options::default().with_topology(Topology::ChowLiu);
+    let kept = Options::tree();
     [
         Options::default(),
         Options::dense(),
