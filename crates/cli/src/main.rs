@@ -10,6 +10,7 @@ mod convert;
 mod error;
 mod evaluate;
 mod files;
+mod fit;
 mod info;
 mod log;
 mod nodes;

@@ -3,7 +3,8 @@
 use std::path::Path;
 use std::time::Duration;
 
-use evergraph::formats::spell_id;
+use evergraph::evaluate::Fit;
+use evergraph::formats::{Document, spell_id};
 use evergraph::solver::{Reason, Status as BatchStatus};
 use evergraph::{Objective, Replayer};
 use serde::Serialize;
@@ -11,6 +12,7 @@ use serde_json::{Map, Value, json};
 
 use crate::error::Error;
 use crate::files;
+use crate::fit;
 use crate::plot::{self, Plot};
 use crate::steps::StepName;
 use crate::table::{CONVENTION, Rows, milliseconds, number};
@@ -178,6 +180,8 @@ pub(crate) struct Report {
     convention: &'static str,
     error: f64,
     chi2: f64,
+    /// How well the file's factors agree.
+    pub(crate) fit: Fit,
     gauge_prior: Option<Gauge>,
     /// Variables that FIX lines hold.
     fixed: usize,
@@ -208,10 +212,15 @@ pub(crate) struct Run {
 }
 
 impl Report {
-    pub(crate) fn new(replayer: &Replayer, run: Run) -> Result<Self, Error> {
+    pub(crate) fn new(
+        replayer: &Replayer,
+        document: &Document,
+        run: Run,
+    ) -> Result<Self, Error> {
         let unsolvable = |source| Error::unsolvable(replayer, source);
         let Objective { error, chi2, .. } = replayer.objective().map_err(unsolvable)?;
         let gauge_error = replayer.gauge_error().map_err(unsolvable)?;
+        let fit = Fit::of_replayer(replayer, document).map_err(unsolvable)?;
         let size = replayer.smoother().size();
         let graph = replayer.graph();
         // A refused step is none of what is in the graph.
@@ -244,6 +253,7 @@ impl Report {
             convention: CONVENTION,
             error,
             chi2,
+            fit,
             gauge_prior,
             fixed: replay.fixed().count(),
             time: run.time,
@@ -301,6 +311,7 @@ impl Report {
         rows.add("factors", format!("{} (the file's)", self.factors));
         rows.add("error", number(self.error));
         rows.add("chi2", number(self.chi2));
+        fit::show(&self.fit, &mut rows);
         rows.add("convention", "error = 1/2 sum |r|^2 (robust: sum rho), chi2 = sum |r|^2,");
         rows.add("", "r = whitened Log(z^-1 xi^-1 xj), the file's factors only");
         match &self.gauge_prior {

@@ -1,0 +1,295 @@
+//! Whether a solved graph agrees with its own measurements.
+//!
+//! With right weights, `chi2 = Σ ‖r‖²` over whitened residuals at the optimum follows the chi2
+//! distribution of
+//!
+//! ```text
+//! degrees of freedom = rows of all factors, gauge priors included - dimensions of the unknowns
+//! ```
+//!
+//! Its quantiles are Wilson and Hilferty's, `k (1 - 2/(9k) + z sqrt(2/(9k)))³` (1931): the upper
+//! one to within half a percent from three degrees of freedom on, the lower one to a percent from ten.
+//! Residuals are those before robust kernels: an edge that a
+//! kernel has silenced is still an edge that the map contradicts.
+//!
+//! - E. B. Wilson and M. M. Hilferty, "The distribution of chi-square" (1931).
+
+use std::collections::{BTreeMap, HashMap};
+
+use evergraph_formats::{Document, spell_id};
+use evergraph_model::{FactorId, Graph, Values, VariableId};
+use evergraph_replay::{Overview, Replayer};
+use evergraph_solver::SmootherError;
+use serde::Serialize;
+
+/// How many edges [`Fit::worst`] holds.
+const WORST: usize = 10;
+
+/// Of the standard normal distribution: 95 % lie between minus this and this.
+const TWO_SIDED_95: f64 = 1.959_963_984_540_054;
+
+/// A factor of the file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FileFactor {
+    /// In the graph.
+    pub factor: FactorId,
+    /// Its line in the file.
+    pub line: usize,
+    /// Its kind in words.
+    pub kind: String,
+    /// The ids of its variables in the file.
+    pub ids: Vec<u64>,
+}
+
+/// How well a graph fits its measurements.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Fit {
+    /// `Σ ‖r‖²` of the file's factors, without robust kernels.
+    pub chi2: f64,
+    /// Rows of all factors, less the dimensions of the variables that are not fixed.
+    pub degrees_of_freedom: usize,
+    /// `chi2` over them; `None` where there are none.
+    pub chi2_per_dof: Option<f64>,
+    /// Where 95 % of such ratios lie if all weights are right; `None` where there are no degrees of
+    /// freedom.
+    pub expected_95: Option<[f64; 2]>,
+    /// What that says.
+    pub verdict: Verdict,
+    /// By kind of factor.
+    pub kinds: BTreeMap<String, KindFit>,
+    /// Factors of the largest normalized residuals, the largest first; ten at most.
+    pub worst: Vec<WorstFactor>,
+}
+
+/// chi2 beside its expected range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Verdict {
+    /// Within the range.
+    Expected,
+    /// Above: measurements contradict each other more than their weights allow.
+    Poor,
+    /// Below: measurements agree better than their weights say.
+    BetterThanExpected,
+    /// Without degrees of freedom any map fits.
+    NoRedundancy,
+}
+
+/// The factors of a kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct KindFit {
+    /// How many there are.
+    pub count: usize,
+    /// Rows of their residuals.
+    pub rows: usize,
+    /// `Σ ‖r‖²`.
+    pub chi2: f64,
+    /// `chi2` over the kind's share of the degrees of freedom, which are shared out by rows; `None`
+    /// where there are none.
+    pub chi2_per_dof: Option<f64>,
+    /// Largest normalized residual.
+    pub largest: f64,
+}
+
+/// A factor that the map contradicts.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct WorstFactor {
+    /// Its line in the file.
+    pub line: usize,
+    /// Its kind in words.
+    pub kind: String,
+    /// The ids of its variables in the file.
+    pub ids: Vec<u64>,
+    /// `‖r‖`, the length of the whitened residual (standard deviations), without robust kernel.
+    pub normalized_residual: f64,
+    /// In the graph.
+    #[serde(skip)]
+    pub factor: FactorId,
+}
+
+impl WorstFactor {
+    /// Its ids as the file spells them.
+    pub fn names(&self) -> String {
+        self.ids.iter().map(|id| spell_id(*id)).collect::<Vec<_>>().join(" ")
+    }
+}
+
+impl Fit {
+    /// Measures the fit of a graph at `values`. All factors that are not in `file` are gauge priors:
+    /// they count for the degrees of freedom alone.
+    ///
+    /// Linear in the factors.
+    ///
+    /// # Errors
+    /// [`SmootherError::Graph`] where a factor or value is not of the graph, or a factor panics.
+    pub fn of(
+        graph: &Graph,
+        values: &Values,
+        file: impl IntoIterator<Item = FileFactor>,
+    ) -> Result<Self, SmootherError> {
+        let mut points = vec![0.0; graph.value_len()];
+        for (variable, value) in values.iter() {
+            let range = graph.value_range(graph.variable_index(variable)?);
+            points[range].copy_from_slice(value.to_value().storage());
+        }
+        let rows: usize = graph.factor_indices().map(|factor| graph.rows_at(factor)).sum();
+        let unknowns: usize = graph.unknown_indices().map(|index| graph.dim_at(index)).sum();
+        let degrees_of_freedom = rows.saturating_sub(unknowns);
+        let share = degrees_of_freedom as f64 / rows.max(1) as f64;
+
+        let (mut kinds, mut worst) = (BTreeMap::<String, KindFit>::new(), Vec::new());
+        let (mut chi2, mut residual) = (0.0, Vec::new());
+        for FileFactor { factor, line, kind, ids } in file {
+            let index = graph.factor_index(factor)?;
+            residual.clear();
+            residual.resize(graph.rows_at(index), 0.0);
+            graph.residual(index, &points, &mut residual)?;
+            let squared: f64 = residual.iter().fold(0.0, |sum, r| sum + r * r);
+            let normalized_residual = squared.sqrt();
+            chi2 += squared;
+            let of_kind = kinds.entry(kind.clone()).or_default();
+            of_kind.count += 1;
+            of_kind.rows += residual.len();
+            of_kind.chi2 += squared;
+            of_kind.largest = of_kind.largest.max(normalized_residual);
+            worst.push(WorstFactor { line, kind, ids, normalized_residual, factor });
+        }
+        for kind in kinds.values_mut() {
+            kind.chi2_per_dof = ratio(kind.chi2, share * kind.rows as f64);
+        }
+        worst.sort_by(|a, b| {
+            let by_size = b.normalized_residual.total_cmp(&a.normalized_residual);
+            by_size.then(a.line.cmp(&b.line))
+        });
+        worst.truncate(WORST);
+        let dof = degrees_of_freedom as f64;
+        let chi2_per_dof = ratio(chi2, dof);
+        let expected_95 = (degrees_of_freedom > 0)
+            .then(|| [-TWO_SIDED_95, TWO_SIDED_95].map(|z| chi2_quantile(dof, z) / dof));
+        let verdict = match chi2_per_dof.zip(expected_95) {
+            None => Verdict::NoRedundancy,
+            Some((ratio, [low, _])) if ratio < low => Verdict::BetterThanExpected,
+            Some((ratio, [_, high])) if ratio <= high => Verdict::Expected,
+            // A number that is none is no good fit.
+            Some(_) => Verdict::Poor,
+        };
+        Ok(Self { chi2, degrees_of_freedom, chi2_per_dof, expected_95, verdict, kinds, worst })
+    }
+
+    /// The fit of what has come in of a document that is replayed, at the estimate.
+    ///
+    /// # Errors
+    /// As [`of`](Self::of).
+    pub fn of_replayer(replayer: &Replayer, document: &Document) -> Result<Self, SmootherError> {
+        let names: HashMap<VariableId, u64> =
+            replayer.replay().ids().map(|(id, variable)| (variable, id)).collect();
+        let kinds: HashMap<usize, String> = document
+            .lines()
+            .iter()
+            .map(|line| (line.number, Overview::kind_of(&line.record)))
+            .collect();
+        let graph = replayer.graph();
+        let mut file = Vec::new();
+        for &(factor, line) in replayer.replay().factors() {
+            // A step that was refused is not in the graph.
+            let Ok(known) = graph.factor(factor) else { continue };
+            let ids = known.keys().iter().filter_map(|key| names.get(key).copied()).collect();
+            let kind = kinds.get(&line).cloned().unwrap_or_else(|| known.name());
+            file.push(FileFactor { factor, line, kind, ids });
+        }
+        Self::of(graph, &replayer.smoother().estimates()?, file)
+    }
+}
+
+fn ratio(chi2: f64, degrees_of_freedom: f64) -> Option<f64> {
+    (degrees_of_freedom > 0.0).then(|| chi2 / degrees_of_freedom)
+}
+
+/// Of the chi2 distribution of `k` degrees of freedom, at the probability at which the standard normal
+/// distribution has its quantile `z`.
+fn chi2_quantile(k: f64, z: f64) -> f64 {
+    let variance = 2.0 / (9.0 * k);
+    k * (1.0 - variance + z * variance.sqrt()).max(0.0).powi(3)
+}
+
+#[cfg(test)]
+mod tests {
+    use evergraph_formats::ReadOptions;
+    use evergraph_replay::ReplayOptions;
+    use evergraph_solver::Settings;
+
+    use super::*;
+
+    fn fit(text: &str) -> Fit {
+        let document = Document::parse("test", text.as_bytes(), &ReadOptions::default()).unwrap();
+        let options = ReplayOptions::default();
+        let mut replayer = Replayer::new(&document, &options, Settings::default()).unwrap();
+        replayer.everything().unwrap();
+        replayer.final_batch().unwrap();
+        Fit::of_replayer(&replayer, &document).unwrap()
+    }
+
+    /// Tables of the distribution: 2.5 % and 97.5 %.
+    #[test]
+    fn quantiles_are_those_of_tables() {
+        for (k, low, high) in [(3.0, 0.2158, 9.348), (10.0, 3.247, 20.483), (100.0, 74.222, 129.561)]
+        {
+            let tolerance = if k < 10.0 { 0.2 } else { 0.01 };
+            assert!((chi2_quantile(k, -TWO_SIDED_95) / low - 1.0).abs() < tolerance, "{k}");
+            assert!((chi2_quantile(k, TWO_SIDED_95) / high - 1.0).abs() < 0.005, "{k}");
+        }
+        assert_eq!(chi2_quantile(1.0, -TWO_SIDED_95), 0.0);
+    }
+
+    const WAY: &str = "EDGE_SE2 0 1 1 0 0 100 0 0 100 0 100\nEDGE_SE2 1 2 1 0 0 100 0 0 100 0 100\n";
+
+    #[test]
+    fn without_redundancy_nothing_is_said() {
+        let fit = fit(WAY);
+        assert_eq!((fit.degrees_of_freedom, fit.verdict), (0, Verdict::NoRedundancy));
+        assert_eq!((fit.chi2_per_dof, fit.expected_95), (None, None));
+        assert_eq!(fit.worst.len(), 2);
+    }
+
+    #[test]
+    fn a_contradiction_is_a_poor_fit_whose_worst_edge_is_named() {
+        // The closure is 3 m too long, and only it is weak enough to give way.
+        let fit = fit(&format!("{WAY}EDGE_SE2 0 2 5 0 0 4 0 0 4 0 4\nEDGE_SE2 0 2 2 0 0 1 0 0 1 0 1\n"));
+        assert_eq!((fit.degrees_of_freedom, fit.verdict), (6, Verdict::Poor));
+        let worst = &fit.worst[0];
+        assert_eq!((worst.line, worst.names().as_str()), (3, "0 2"));
+        let [low, high] = fit.expected_95.unwrap();
+        assert!((0.2..0.22).contains(&low) && (2.39..2.42).contains(&high), "{low} {high}");
+        let kind = fit.kinds["edges to a 2D pose"];
+        assert_eq!((kind.count, kind.rows, kind.largest), (4, 12, worst.normalized_residual));
+        assert!((kind.chi2_per_dof.unwrap() - fit.chi2_per_dof.unwrap()).abs() > 1e-3);
+        let squares: f64 = fit.worst.iter().map(|it| it.normalized_residual.powi(2)).sum();
+        assert!((squares - fit.chi2).abs() < 1e-9 * fit.chi2);
+    }
+
+    #[test]
+    fn fixed_variables_are_no_unknowns() {
+        let vertices = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 2 2 0 0\nFIX 0 2\n";
+        let fit = fit(&format!("{vertices}{WAY}"));
+        assert_eq!((fit.degrees_of_freedom, fit.verdict), (3, Verdict::BetterThanExpected));
+    }
+
+    #[test]
+    fn robust_kernels_do_not_hide_a_wrong_edge() {
+        let text = format!("{WAY}EDGE_SE2 0 2 5 0 0 100 0 0 100 0 100\n");
+        let document = Document::parse("test", text.as_bytes(), &ReadOptions::default()).unwrap();
+        let kernel = evergraph_model::Kernel::huber(1.0).unwrap();
+        let options = ReplayOptions::default().with_kernel(Some(kernel));
+        let mut replayer = Replayer::new(&document, &options, Settings::default()).unwrap();
+        replayer.everything().unwrap();
+        replayer.final_batch().unwrap();
+        let fit = Fit::of_replayer(&replayer, &document).unwrap();
+        assert_eq!((fit.worst[0].line, fit.verdict), (3, Verdict::Poor));
+        let chi2 = replayer.objective().unwrap().chi2;
+        assert!((fit.chi2 - chi2).abs() <= 1e-9 * chi2, "{} {chi2}", fit.chi2);
+    }
+}
