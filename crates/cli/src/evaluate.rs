@@ -143,7 +143,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
 
     let output = common.output();
     if !aligned.unique {
-        output.warn(&"the positions of one side lie on a line: the alignment is one of many, and errors of rotation mean little");
+        output.warn(&"the positions of one side are all the same or lie on a line: the alignment is one of many, and errors of rotation mean little");
     }
     let mut rows = Rows::new("map", &dataset);
     rows.add("truth", report::file_name(&arguments.truth));

@@ -227,11 +227,8 @@ fn finish(
         }
         FinalBatch::Best => {
             let compared = replayer.final_batch_compared(document)?;
-            let kept = if compared.took_chordal {
-                compared.from_chordal
-            } else {
-                compared.from_estimate
-            };
+            let kept =
+                if compared.took_chordal { compared.from_chordal } else { compared.from_estimate };
             Ok((kept, Some(compared)))
         }
     }
@@ -386,8 +383,6 @@ fn in_words(report: &Report, cut: bool, batch: &Option<Finish>) -> String {
         _ if report.status == Status::Converged => {
             "converged to a local minimum, one step gains < 0.1 %".into()
         }
-        _ => {
-            "not converged (one more step gains > 0.1 %): use --final-batch".into()
-        }
+        _ => "not converged (one more step gains > 0.1 %): use --final-batch".into(),
     }
 }

@@ -212,11 +212,7 @@ pub(crate) struct Run {
 }
 
 impl Report {
-    pub(crate) fn new(
-        replayer: &Replayer,
-        document: &Document,
-        run: Run,
-    ) -> Result<Self, Error> {
+    pub(crate) fn new(replayer: &Replayer, document: &Document, run: Run) -> Result<Self, Error> {
         let unsolvable = |source| Error::unsolvable(replayer, source);
         let Objective { error, chi2, .. } = replayer.objective().map_err(unsolvable)?;
         let gauge_error = replayer.gauge_error().map_err(unsolvable)?;

@@ -291,3 +291,57 @@ fn two_outputs_cannot_be_one_file() {
     assert_eq!(folder.list(), ["square.g2o"]);
     folder.run("replay square.g2o --report /dev/null --steps /dev/null").done();
 }
+
+#[test]
+fn a_poor_fit_is_told_with_its_worst_edges() {
+    let poor = SQUARE.replace("1.05 0 1.56 100", "5.05 0 1.56 100");
+    let folder = Folder::with("poor.g2o", &poor);
+    for command in ["replay", "optimize"] {
+        let ran = folder.run(&format!("{command} poor.g2o --report out.json")).done();
+        assert!(ran.out.contains("Poor fit: chi2 per degree of freedom is"), "{}", ran.out);
+        assert!(ran.out.contains("normalized residual"), "{}", ran.out);
+        let fit = &folder.json("out.json")["fit"];
+        assert_eq!((&fit["verdict"], &fit["degrees_of_freedom"]), (&"poor".into(), &3.into()));
+        let lines: Vec<u64> =
+            fit["worst"].as_array().unwrap().iter().filter_map(|it| it["line"].as_u64()).collect();
+        assert_eq!(lines.len(), 4);
+        assert!(lines.iter().all(|line| (5..=8).contains(line)), "{lines:?}");
+        let all = fit["kinds"]["edges to a 2D pose"]["chi2"].as_f64().unwrap();
+        assert!((all - number(fit, "chi2")).abs() < 1e-9 * all);
+    }
+    // From other start values the lines are still the file's.
+    folder.run("optimize poor.g2o --init chordal --report out.json").done();
+    assert!(folder.json("out.json")["fit"]["worst"][0]["line"].as_u64() >= Some(5));
+
+    folder.write("good.g2o", SQUARE);
+    let ran = folder.run("replay good.g2o").done();
+    assert!(!ran.out.contains("Poor fit") && !ran.out.contains("normalized"), "{}", ran.out);
+    let ran = folder.run("replay good.g2o --verbose").done();
+    assert!(ran.out.contains("normalized residual") && ran.out.contains("count"), "{}", ran.out);
+}
+
+#[test]
+fn tables_fit_eighty_columns() {
+    let folder = Folder::with("square.g2o", SQUARE);
+    let more = "VERTEX_SE2 4 2 2 0\nEDGE_SE2 3 4 1 0 0.3 100 0 0 100 0 400\n\
+                EDGE_SE2 2 4 1 0.1 0.3 100 0 0 100 0 400\n";
+    folder.write("five.g2o", &format!("{SQUARE}{more}"));
+    folder.write("poor.g2o", &SQUARE.replace("1.05 0 1.56 100", "5.05 0 1.56 100"));
+    folder.run("remove five.g2o --fraction 0.2 --output less.g2o").done();
+    for line in [
+        "replay poor.g2o --verbose",
+        "replay five.g2o --final-batch=best",
+        "optimize poor.g2o --verbose",
+        "info five.g2o --verbose",
+        "evaluate five.g2o --truth five.g2o",
+        "remove five.g2o --fraction 0.2",
+        "compare five.g2o less.g2o",
+        "audit five.g2o",
+        "bench five.g2o",
+    ] {
+        let ran = folder.run(line).done();
+        for text in ran.out.lines() {
+            assert!(text.chars().count() <= 80, "{line}: {text}");
+        }
+    }
+}

@@ -236,7 +236,8 @@ mod tests {
     /// Tables of the distribution: 2.5 % and 97.5 %.
     #[test]
     fn quantiles_are_those_of_tables() {
-        for (k, low, high) in [(3.0, 0.2158, 9.348), (10.0, 3.247, 20.483), (100.0, 74.222, 129.561)]
+        for (k, low, high) in
+            [(3.0, 0.2158, 9.348), (10.0, 3.247, 20.483), (100.0, 74.222, 129.561)]
         {
             let tolerance = if k < 10.0 { 0.2 } else { 0.01 };
             assert!((chi2_quantile(k, -TWO_SIDED_95) / low - 1.0).abs() < tolerance, "{k}");
@@ -245,7 +246,8 @@ mod tests {
         assert_eq!(chi2_quantile(1.0, -TWO_SIDED_95), 0.0);
     }
 
-    const WAY: &str = "EDGE_SE2 0 1 1 0 0 100 0 0 100 0 100\nEDGE_SE2 1 2 1 0 0 100 0 0 100 0 100\n";
+    const WAY: &str =
+        "EDGE_SE2 0 1 1 0 0 100 0 0 100 0 100\nEDGE_SE2 1 2 1 0 0 100 0 0 100 0 100\n";
 
     #[test]
     fn without_redundancy_nothing_is_said() {
@@ -258,7 +260,8 @@ mod tests {
     #[test]
     fn a_contradiction_is_a_poor_fit_whose_worst_edge_is_named() {
         // The closure is 3 m too long, and only it is weak enough to give way.
-        let fit = fit(&format!("{WAY}EDGE_SE2 0 2 5 0 0 4 0 0 4 0 4\nEDGE_SE2 0 2 2 0 0 1 0 0 1 0 1\n"));
+        let fit =
+            fit(&format!("{WAY}EDGE_SE2 0 2 5 0 0 4 0 0 4 0 4\nEDGE_SE2 0 2 2 0 0 1 0 0 1 0 1\n"));
         assert_eq!((fit.degrees_of_freedom, fit.verdict), (6, Verdict::Poor));
         let worst = &fit.worst[0];
         assert_eq!((worst.line, worst.names().as_str()), (3, "0 2"));

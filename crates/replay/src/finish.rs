@@ -43,10 +43,7 @@ impl Replayer {
     ///
     /// # Errors
     /// [`ReplayerError`]; everything is then as it was before.
-    pub fn final_batch_compared(
-        &mut self,
-        document: &Document,
-    ) -> Result<Compared, ReplayerError> {
+    pub fn final_batch_compared(&mut self, document: &Document) -> Result<Compared, ReplayerError> {
         /// Two ends at the same minimum differ by rounding, and by what optimizations stop at.
         const SAME: f64 = 1e-6;
         let starts = chordal(document, self.smoother().settings())?;
@@ -88,9 +85,8 @@ fn optimum(smoother: &mut Smoother) -> Result<BatchReport, SmootherError> {
     if damped.status == Status::Converged {
         return Ok(damped);
     }
-    let settings = BatchSettings::default()
-        .with_method(Method::Dogleg)
-        .with_max_iterations(DOGLEG_ITERATIONS);
+    let settings =
+        BatchSettings::default().with_method(Method::Dogleg).with_max_iterations(DOGLEG_ITERATIONS);
     let mut both = match smoother.optimize(&settings) {
         Ok(dogleg) => dogleg,
         // The end of the first method is a result all the same.

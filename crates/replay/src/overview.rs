@@ -99,7 +99,9 @@ impl Overview {
             Record::Edge { measurement, .. } if measurement.kind().is_pose() => {
                 format!("edges to a {}", measurement.kind().name())
             }
-            Record::Edge { measurement, .. } => format!("sightings of a {}", measurement.kind().name()),
+            Record::Edge { measurement, .. } => {
+                format!("sightings of a {}", measurement.kind().name())
+            }
             Record::Fix { .. } => "fixed vertices".into(),
             Record::SensorOffset { .. } => "sensor offsets".into(),
             Record::GeodeticOrigin { .. } => "geodetic origins".into(),

@@ -65,7 +65,8 @@ impl Replay {
         let has_order = document.dialect() != Dialect::G2o;
         replay.recorded = order::order_of(&replay.links, count, has_order);
         replay.component = order::components(count, &replay.links);
-        replay.steps = order::plan(&replay.nodes, &replay.links, &replay.fixed, replay.recorded.into());
+        replay.steps =
+            order::plan(&replay.nodes, &replay.links, &replay.fixed, replay.recorded.into());
         replay.settle_gauge()?;
         Ok(replay)
     }

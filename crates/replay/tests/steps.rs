@@ -19,7 +19,11 @@ fn the_gauge_is_held_once_for_each_component_or_where_fix_says() {
         let step = replay.everything(&mut Graph::new().change()).unwrap();
         assert_eq!(step.gauge_priors, replay.gauge_priors());
         assert!(step.gauge_priors.iter().all(|p| replay.factors().iter().all(|f| f.0 != p.factor)));
-        assert!(replay.fixed().all(|(_, fixed)| replay.gauge_priors().iter().all(|p| p.variable != fixed)));
+        assert!(
+            replay
+                .fixed()
+                .all(|(_, fixed)| replay.gauge_priors().iter().all(|p| p.variable != fixed))
+        );
         let priors: Vec<u64> = step.gauge_priors.iter().map(|prior| prior.id).collect();
         (priors, replay.fixed().map(|(id, _)| id).collect::<Vec<u64>>())
     };
