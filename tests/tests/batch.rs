@@ -5,6 +5,7 @@ use evergraph::factors::autodiff::{AutoDiff, Number, Parameters, Residual, Vecto
 use evergraph::optimize_to_the_end;
 use evergraph::prelude::*;
 use evergraph::replay::{Initial, ReplayOptions};
+use evergraph::simulate::Surface;
 use evergraph::solver::Reason;
 use evergraph_tests::{References, data_dir, data_file, read};
 
@@ -136,6 +137,19 @@ fn where_full_steps_overshoot_rounding_ends_it() {
             assert!(x.vector()[0].abs() < 1e-3, "{bend} {method:?} {x:?}");
         }
     }
+}
+
+/// A long trajectory with few closures bends so easily that damping by 1e-7 holds it fast, and full steps from
+/// its odometry go too far.
+#[test]
+fn damping_goes_down_with_what_long_trajectories_need() {
+    let mut sphere = Surface::sphere(15_000, 1);
+    sphere.closures.probability = 0.0003;
+    let mut replayer = loaded(&sphere.generate().unwrap().document, Elimination::Cholesky);
+    let report = replayer.smoother_mut().optimize(&BatchSettings::default()).unwrap();
+    assert_eq!(report.status, Status::Converged, "{report:?}");
+    assert!(report.iterations <= 20, "{report:?}");
+    assert!((report.error / 42.238_221_411_4 - 1.0).abs() < 1e-9, "{report:?}");
 }
 
 /// Between false loop closures damped steps crawl, and dogleg goes on.

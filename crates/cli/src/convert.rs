@@ -77,7 +77,7 @@ pub(crate) fn tell(saved: &Saved, path: &Path, output: Output) {
     let (path, written) = (path.display(), &saved.written);
     if written.dropped_vertices > 0 {
         let count = written.dropped_vertices;
-        output.warn(&format!("{path}: iSAM files have no vertices; {count} were left out"));
+        output.warn(&format!("{path}: the format has no lines for {count} vertices; left out"));
     }
     if saved.added_vertices > 0 {
         let count = saved.added_vertices;

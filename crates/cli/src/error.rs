@@ -58,6 +58,9 @@ pub(crate) enum Error {
     /// A reduced graph does not fit the full one.
     #[error(transparent)]
     NotReduced(#[from] ReducedError),
+    /// Lines of a file that make no sense.
+    #[error("{first}{}. `--lenient` skips such lines and lists them", and_more(*more))]
+    BadLines { first: Box<FormatError>, more: usize },
     /// A file could not be read.
     #[error("{}: cannot be read: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
@@ -88,6 +91,14 @@ pub(crate) enum Error {
     Usage { command: &'static str, message: String },
 }
 
+fn and_more(lines: usize) -> String {
+    match lines {
+        0 => String::new(),
+        1 => "; 1 more line cannot be read".into(),
+        more => format!("; {more} more lines cannot be read"),
+    }
+}
+
 impl Error {
     /// An error of a solver call that is no step, in the ids of the file.
     pub(crate) fn unsolvable(replayer: &Replayer, source: SmootherError) -> Self {
@@ -116,6 +127,16 @@ impl Error {
             Self::NoGauge { .. } => true,
             Self::Replay(ReplayerError::Step { source, .. }) | Self::Unsolvable { source, .. } => {
                 is_singular(source)
+            }
+            _ => false,
+        }
+    }
+
+    /// Whether an update would have taken too long.
+    pub(crate) fn is_too_dense(&self) -> bool {
+        match self {
+            Self::Replay(ReplayerError::Step { source, .. }) => {
+                matches!(**source, SmootherError::LargeClique { .. })
             }
             _ => false,
         }

@@ -1,5 +1,6 @@
 //! Options that several subcommands share.
 
+use std::io::{self, Read};
 use std::num::NonZeroU32;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -85,12 +86,43 @@ impl Reading {
 
     /// Reads a file and warns about what is odd in it.
     pub(crate) fn read(&self, path: &Path, common: &Common) -> Result<Document, Error> {
-        let document = Document::read(path, &self.options(common))?;
+        let document = self.parse(path, &self.options(common))?;
         let (name, summary) = (document.name(), document.summary());
         let (lines, poses, landmarks) = (summary.lines, summary.poses, summary.landmarks);
         info!(lines, poses, landmarks, "read {name} ({})", document.dialect());
         tell(&document, common.output());
         Ok(document)
+    }
+
+    /// Reads a file, or standard input for `-`. After an error of a line the others are counted.
+    fn parse(&self, path: &Path, options: &ReadOptions) -> Result<Document, Error> {
+        let piped = if path == Path::new(STANDARD_INPUT) {
+            let mut bytes = Vec::new();
+            let failed = |source| Error::Read { path: "standard input".into(), source };
+            io::stdin().lock().read_to_end(&mut bytes).map_err(failed)?;
+            Some(bytes)
+        } else {
+            None
+        };
+        let read = |options: &ReadOptions| match &piped {
+            Some(bytes) => Document::read_stream("standard input", &**bytes, options),
+            None => Document::read(path, options),
+        };
+        let error = match read(options) {
+            Ok(document) => return Ok(document),
+            Err(error) => error,
+        };
+        // A pipe that has a name, as of `<(...)`, cannot be read twice.
+        let again = piped.is_some() || path.is_file();
+        let lenient = options.clone().with_lenient(true);
+        let bad = match again && error.place().is_some() && !options.lenient {
+            true => read(&lenient).map_or(0, |document| document.summary().skipped),
+            false => 0,
+        };
+        match bad {
+            0 => Err(error.into()),
+            bad => Err(Error::BadLines { first: Box::new(error), more: bad - 1 }),
+        }
     }
 
     pub(crate) fn options(&self, common: &Common) -> ReadOptions {
@@ -110,6 +142,9 @@ impl Reading {
     }
 }
 
+/// Names standard input where a file is asked for.
+pub(crate) const STANDARD_INPUT: &str = "-";
+
 /// Bad lines that are listed without `--verbose`.
 const LISTED: usize = 10;
 
@@ -128,8 +163,16 @@ fn tell(document: &Document, output: Output) {
         let more = document.summary().skipped - LISTED;
         output.warn(&format!("{more} more bad lines were skipped; --verbose lists them"));
     }
+    let summary = document.summary();
+    let factors = summary.pose_edges + summary.landmark_edges + summary.measurements;
+    if factors == 0 {
+        output.warn(&format!("{}: there are no measurements in it", document.name()));
+    }
     for (tag, count) in &document.summary().ignored {
-        info!("{}: {count} {tag} lines were passed over", document.name());
+        output.warn(&format!(
+            "{}: {count} {tag} lines were passed over; Evergraph has no factor for them",
+            document.name()
+        ));
     }
 }
 
@@ -274,7 +317,7 @@ impl Solving {
 /// Which relinearization policy to start from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum PolicyName {
-    /// What moved far every 10 steps, what moved at all every 100, spread over 10
+    /// What moved far every 10 steps, what moved at all every 100, sweeps spread over 10
     Both,
     /// A batch to convergence every 100 steps
     Every,
@@ -303,7 +346,7 @@ pub(crate) struct Policy {
     /// Look for what moved far every N steps [default: 10]
     #[arg(long, value_name = "N")]
     pub fluid_every: Option<NonZeroU32>,
-    /// Spread the work of relinearizing over N steps [default: 10]
+    /// Spread the work of a sweep over N steps [default: 10]
     #[arg(long, value_name = "N")]
     pub relinearize_spread: Option<NonZeroU32>,
 }

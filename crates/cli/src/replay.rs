@@ -37,6 +37,7 @@ Status:
                  lower the error by no more than 0.1 %
   not_converged  neither
   stopped        --max-steps ended the replay before the file did
+  too_dense      a step would cost more than --largest-clique allows; the report is of the steps before
   singular       a step leaves some variable undetermined; the message says which";
 
 /// A sample of the kind of Olson's M3500, made by `evergraph simulate`; see data/README.md.
@@ -71,6 +72,10 @@ pub(crate) struct Arguments {
     /// they are computed again where they have moved by more than 1e-3 (m or rad)
     #[arg(long, help_heading = "Solving")]
     full_estimate: bool,
+    /// Stop before a step that would eliminate a clique of more than N scalars, or `none`. The time of a
+    /// step grows with the cube of it, 2000 take about a second; wrong loop closures make such cliques
+    #[arg(long, value_name = "none|N", default_value = "2000", value_parser = bound, help_heading = "Solving")]
+    largest_clique: Bound,
     /// Stop after N steps
     #[arg(long, value_name = "N")]
     max_steps: Option<usize>,
@@ -86,6 +91,20 @@ pub(crate) struct Arguments {
     reading: Reading,
     #[command(flatten)]
     pub(crate) common: Common,
+}
+
+/// The most scalars of a clique.
+#[derive(Clone, Copy, Debug)]
+struct Bound(Option<usize>);
+
+fn bound(text: &str) -> Result<Bound, String> {
+    match text {
+        "none" => Ok(Bound(None)),
+        _ => match text.parse() {
+            Ok(scalars) if scalars > 0 => Ok(Bound(Some(scalars))),
+            _ => Err("give a whole number above 0, or none".into()),
+        },
+    }
 }
 
 /// The start of the final batch.
@@ -122,6 +141,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let output = common.output();
     let settings =
         arguments.solving.settings(arguments.policy.relinearization("replay")?, common.threads());
+    let settings = settings.with_largest_clique(arguments.largest_clique.0);
 
     let (document, dataset) = read(arguments)?;
     let others = [common.report.as_deref(), arguments.steps.as_deref()];
@@ -138,12 +158,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         .map_err(|error| error.with_gauge(arguments.solving.prior.0, &document));
     let (cut, batch) = match &outcome {
         Ok((cut, batch)) => (*cut, *batch),
-        Err(error) if error.is_singular() => (false, None),
+        Err(error) if error.is_singular() || error.is_too_dense() => (false, None),
         Err(_) => return outcome.map(drop),
     };
     let time = Times::of(&driven.updates, begun.elapsed());
     let peak_rss_mb = report::peak_rss_mb();
     let status = match (&outcome, cut, &batch) {
+        (Err(error), ..) if error.is_too_dense() => Status::TooDense,
         (Err(_), ..) => Status::Singular,
         (_, true, _) => Status::Stopped,
         (.., Some(batch)) if batch.report.status == BatchStatus::Converged => Status::Converged,
@@ -198,10 +219,29 @@ fn read(arguments: &Arguments) -> Result<(Document, String), Error> {
             Ok((arguments.reading.read(path, &arguments.common)?, report::file_name(path)))
         }
         None => {
+            if is_piped_in() {
+                arguments.common.output().warn(
+                    &"standard input is not read: the sample is replayed. Name `-` as the file to replay \
+                     what is piped in",
+                );
+            }
             let options = arguments.reading.options(&arguments.common);
             Ok((Document::parse(SAMPLE_NAME, SAMPLE, &options)?, SAMPLE_NAME.into()))
         }
     }
+}
+
+/// Whether standard input is a pipe or a file.
+#[cfg(unix)]
+fn is_piped_in() -> bool {
+    use std::os::unix::fs::FileTypeExt;
+    let kind = std::fs::metadata("/dev/stdin").map(|input| input.file_type());
+    kind.is_ok_and(|kind| kind.is_fifo() || kind.is_file())
+}
+
+#[cfg(not(unix))]
+fn is_piped_in() -> bool {
+    false
 }
 
 /// A final batch.

@@ -27,6 +27,7 @@ pub(crate) enum Status {
     Converged,
     NotConverged,
     Singular,
+    TooDense,
     Stopped,
 }
 
@@ -35,7 +36,7 @@ pub(crate) fn why(reason: Reason) -> String {
     match reason {
         Reason::IterationLimit => "the iterations were used up".into(),
         Reason::ErrorWouldRise => {
-            "a Gauss-Newton step would raise the error; try --method lm".into()
+            "a Gauss-Newton step would raise the error; try --method lm or --method dogleg, or start closer with --init chordal".into()
         }
         Reason::NoDescent => "no step lowers the error any more".into(),
         other => serialized_name(&other),

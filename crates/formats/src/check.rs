@@ -223,6 +223,12 @@ fn inspect_weight<'a>(
         );
         return Err(FormatError::BadMeasurement { place: place.clone(), problem });
     }
+    if weight.kind == WeightKind::Sigmas {
+        return match weight.entries.iter().find(|sigma| **sigma <= 0.0) {
+            None => Ok(false),
+            Some(&sigma) => Err(out_of_range(place, tag, "standard deviation", sigma, "above 0")),
+        };
+    }
     if weight.entries.is_empty()
         || weight.kind == WeightKind::SquareRoot
         || matrix::is_clearly_definite(weight)

@@ -1,7 +1,7 @@
 //! A graph file in memory.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Seek};
+use std::io::{BufRead, BufReader, Read, Seek};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -14,6 +14,7 @@ use crate::options::{Dialect, G2oRotation, ReadOptions};
 use crate::parse;
 use crate::reconcile::reconcile;
 use crate::record::{Line, Record};
+use crate::source;
 use crate::weight::WeightKind;
 
 /// The records of a graph file, in the order of its lines and in the file's own numbers.
@@ -44,7 +45,8 @@ pub struct Document {
 }
 
 impl Document {
-    /// Reads a graph file, a line at a time.
+    /// Reads a graph file, a line at a time; one that is compressed with gzip as
+    /// [`read_stream`](Self::read_stream) does.
     ///
     /// # Errors
     /// [`FormatError::Read`], and whatever is wrong with a line; with [`ReadOptions::lenient`] bad
@@ -54,11 +56,35 @@ impl Document {
         let name = path.display().to_string();
         let open = |source| FormatError::Read { file: name.as_str().into(), source };
         let file = File::open(path).map_err(open)?;
-        let parse = |options| Self::parse(&name, BufReader::with_capacity(1 << 16, &file), options);
-        match parse(options) {
-            // A pipe cannot be read again; the error then says how to help.
+        let mut reader = BufReader::with_capacity(1 << 16, &file);
+        if source::is_gzip(reader.fill_buf().map_err(open)?) || (&file).stream_position().is_err() {
+            return Self::read_stream(&name, reader, options);
+        }
+        let as_toro = ReadOptions { format: Some(Dialect::Toro), ..options.clone() };
+        match Self::parse(&name, reader, options) {
             Err(FormatError::EdgesBeforeVertices { .. }) if (&file).rewind().is_ok() => {
-                parse(&ReadOptions { format: Some(Dialect::Toro), ..options.clone() })
+                Self::parse(&name, BufReader::with_capacity(1 << 16, &file), &as_toro)
+            }
+            result => result,
+        }
+    }
+
+    /// Reads a graph from a stream, such as standard input, whole into memory; `name` stands for it in
+    /// messages. A stream that is compressed with gzip is inflated, up to 4 GiB.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn read_stream(
+        name: &str,
+        stream: impl Read,
+        options: &ReadOptions,
+    ) -> Result<Self, FormatError> {
+        let failed = |source| FormatError::Read { file: name.into(), source };
+        let bytes = source::read(stream).map_err(failed)?;
+        match Self::parse(name, &*bytes, options) {
+            Err(FormatError::EdgesBeforeVertices { .. }) => {
+                let as_toro = ReadOptions { format: Some(Dialect::Toro), ..options.clone() };
+                Self::parse(name, &*bytes, &as_toro)
             }
             result => result,
         }
@@ -118,7 +144,7 @@ impl Document {
     ) -> Result<Self, FormatError> {
         let mut lines = std::mem::take(&mut contents.lines);
         let dialect = contents.dialect.unwrap_or(Dialect::G2o);
-        let numbered_apart = dialect == Dialect::Isam;
+        let numbered_apart = matches!(dialect, Dialect::Isam | Dialect::Toro);
         let kinds = reconcile(&name, &mut lines, numbered_apart, |error| {
             let line = error.line();
             contents.reject(error, line, options.lenient)

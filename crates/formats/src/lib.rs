@@ -114,6 +114,7 @@ mod ranges;
 mod read_line;
 mod reconcile;
 mod record;
+mod source;
 mod tags;
 mod trajectory;
 mod weight;

@@ -1,6 +1,6 @@
 //! The matrices of measurements: what they are, whether they can be, and from one kind to another.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 use crate::weight::{Entries, EntryOrder, Weight, WeightKind};
 
@@ -35,11 +35,16 @@ fn rows(entries: usize) -> Option<usize> {
     (1..=6).find(|n| n * (n + 1) / 2 == entries)
 }
 
-/// The matrix as it is written, symmetric or (square root) upper triangular; the identity when
+/// The matrix as it is written, symmetric, (square root) upper triangular or diagonal; the identity when
 /// nothing is written. `None` when the entries do not fit a matrix of `n` rows.
 pub(crate) fn as_written(weight: &Weight, n: usize) -> Option<DMatrix<f64>> {
     if weight.entries.is_empty() {
         return Some(DMatrix::identity(n, n));
+    }
+    if weight.kind == WeightKind::Sigmas {
+        let is_fit = weight.entries.len() == n;
+        return is_fit
+            .then(|| DMatrix::from_diagonal(&DVector::from_column_slice(&weight.entries)));
     }
     if rows(weight.entries.len()) != Some(n) {
         return None;
@@ -210,6 +215,9 @@ pub(crate) fn information(weight: &Weight, n: usize) -> Option<DMatrix<f64>> {
     match weight.kind {
         WeightKind::Information => Some(matrix),
         WeightKind::SquareRoot => Some(matrix.transpose() * matrix),
+        WeightKind::Sigmas => {
+            Some(matrix.map(|sigma| if sigma == 0.0 { 0.0 } else { sigma.powi(-2) }))
+        }
         WeightKind::Covariance => {
             let mut inverse = nalgebra::Cholesky::new(matrix)?.inverse();
             inverse.fill_lower_triangle_with_upper_triangle();

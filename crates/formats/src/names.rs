@@ -76,6 +76,14 @@ pub fn parse_id(word: &str) -> Option<u64> {
     (word == name || word == spell_id(id)).then_some(id)
 }
 
+/// The number in an id: of names of one robot, which all have the same letter, the number after it; else
+/// the whole id. `ids` are ascending.
+pub(crate) fn number_of(id: u64, ids: &[u64]) -> u64 {
+    let letter = |id: Option<&u64>| id.map(|id| id >> INDEX_BITS);
+    let is_one_robot = letter(ids.first()) == letter(ids.last());
+    if is_one_robot { id & (u64::MAX >> (64 - INDEX_BITS)) } else { id }
+}
+
 /// Whether the id is that of no name, so that it gets one when it is written.
 pub(crate) fn is_new(id: u64) -> bool {
     id >> INDEX_BITS == 0

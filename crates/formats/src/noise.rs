@@ -25,6 +25,7 @@ impl Document {
         let made = match kind {
             WeightKind::SquareRoot => Noise::from_sqrt_information(&written),
             WeightKind::Covariance => Noise::from_covariance(&written),
+            WeightKind::Sigmas => Noise::from_sigmas(&weight.entries),
             WeightKind::Information => {
                 let has_rotation = line.record.has_rotation_rows();
                 if has_rotation && convert::half_angles(self, self.dialect()) {

@@ -109,12 +109,14 @@ impl FromStr for G2oRotation {
 }
 
 impl WeightKind {
-    /// The name that [`FromStr`] reads: `sqrt`, `information` or `covariance`.
+    /// The name that [`FromStr`] reads: `sqrt`, `information` or `covariance`; standard deviations, which
+    /// iSAM files do not have, are not read.
     pub const fn name(self) -> &'static str {
         match self {
             Self::SquareRoot => "sqrt",
             Self::Information => "information",
             Self::Covariance => "covariance",
+            Self::Sigmas => "standard deviations",
         }
     }
 }

@@ -176,6 +176,7 @@ impl Parser<'_> {
         place: &Place,
     ) -> Result<(), FormatError> {
         let matrix = match tag.dialect {
+            _ if tag.has_sigmas() => WeightKind::Sigmas,
             Dialect::Isam => self.options.isam_matrix,
             Dialect::G2o | Dialect::Toro => WeightKind::Information,
             Dialect::Pyfg => WeightKind::Covariance,

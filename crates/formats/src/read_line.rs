@@ -132,7 +132,8 @@ impl Fields<'_> {
             all.extend(self.many::<SmallVec<[f64; 36]>>(numbers - pose)?);
             self.label = Some("I");
         }
-        let weight = self.weight(matrix, rows * (rows + 1) / 2)?;
+        let entries = if self.tag.has_sigmas() { rows } else { rows * (rows + 1) / 2 };
+        let weight = self.weight(matrix, entries)?;
         Ok(Measurement { quantity, ends, numbers: all, weight, parameter })
     }
 

@@ -98,11 +98,27 @@ impl File<'_> {
         reject: &mut impl FnMut(FormatError) -> Result<(), FormatError>,
     ) -> Result<Kinds, FormatError> {
         let has_vertices = !vertices.is_empty();
-        let kinds = if has_vertices { vertices } else { self.kinds_of_ends(lines) };
+        let kinds = match has_vertices {
+            true if self.numbered_apart => Self::with_landmarks(&vertices, lines),
+            true => vertices,
+            false => self.kinds_of_ends(lines),
+        };
         let before = lines.len();
         remove(lines, reject, |_, line| self.check_factor(line, &kinds))?;
         let is_stale = !has_vertices && lines.len() < before;
         Ok(if is_stale { self.kinds_of_ends(lines) } else { kinds })
+    }
+
+    /// Vertices, and the landmarks that factors name: TORO has no vertices of landmarks.
+    fn with_landmarks(vertices: &Kinds, lines: &[Line]) -> Kinds {
+        let known = vertices.as_slice().iter().map(|&(id, kind)| (id, kind, 0));
+        let mut uses: Vec<Use> = known.collect();
+        for (index, line) in lines.iter().enumerate() {
+            let ends = line.record.ends();
+            let landmarks = ends.iter().filter(|(_, kind)| !kind.is_pose());
+            uses.extend(landmarks.map(|&(id, kind)| (id, kind, index)));
+        }
+        Kinds::of(uses, true, |_, _| ())
     }
 
     fn kinds_of_ends(&self, lines: &[Line]) -> Kinds {

@@ -50,7 +50,8 @@ pub(crate) struct Tag {
     pub dialect: Dialect,
     pub shape: Shape,
     /// Names of the fields in order. A field in brackets may be left out, which shows in the number
-    /// of fields; matrix entries are `I` (information or its square root) or `C` (covariance).
+    /// of fields; matrix entries are `I` (information or its square root), `C` (covariance) or `S` (standard
+    /// deviations).
     pub layout: &'static str,
 }
 
@@ -132,6 +133,8 @@ pub(crate) const TAGS: &[Tag] = &[
     factor("EDGE_POINTXYZ_PRIOR", Prior, &[Point3], upper!(3, "id x y z")),
     factor("EDGE_PRIOR_SE2_XY", Position, &[Pose2], upper!(2, "id x y")),
     factor("EDGE_SE3_XYZ_PRIOR", Position, &[Pose3], upper!(3, "id [offset] x y z")),
+    // hdl_graph_slam.
+    factor("EDGE_SE3_PRIORXYZ", Position, &[Pose3], upper!(3, "id x y z")),
     factor("EDGE_BEARING_SE2_XY", Bearing, &[Pose2, Point2], upper!(1, "pose point bearing")),
     factor("EDGE_POINTXY", Between, &[Point2, Point2], upper!(2, "from to x y")),
     factor("EDGE_POINTXYZ", Between, &[Point3, Point3], upper!(3, "from to x y z")),
@@ -170,6 +173,8 @@ pub(crate) const TAGS: &[Tag] = &[
     tag("VERTEX2", Toro, Vertex(Form::Pose2), "id x y theta"),
     tag("EDGE3", Toro, Edge(Euler), upper!(6, "from to x y z roll pitch yaw")),
     tag("VERTEX3", Toro, Vertex(Euler), "id x y z roll pitch yaw"),
+    // GTSAM's `load2D`.
+    tag("BR", Toro, Measurement(BearingRange, &[Pose2, Point2]), "pose point bearing range S1 S2"),
     // iSAM.
     tag("EDGE2", Isam, Edge(Form::Pose2), upper!(3, "from to x y theta")),
     tag("ODOMETRY", Isam, Edge(Form::Pose2), upper!(3, "from to x y theta")),
@@ -193,10 +198,10 @@ pub(crate) const TAGS: &[Tag] = &[
     tag("VERTEX_XYZ:PRIOR", Pyfg, Measurement(Prior, &[Point3]), upper!(covariance 3, "time name x y z")),
 ];
 
-/// Lines that are recognized, passed over and counted: node identities, bearing-range and
-/// unassociated features, laser scans and raw odometry.
+/// Lines that are recognized, passed over and counted: node identities, unassociated features, laser
+/// scans and raw odometry.
 pub(crate) const IGNORED: &[&str] =
-    &["EQUIV", "BR", "DATA_FEATURE_POINTXY", "ROBOTLASER1", "ODOM", "FLASER"];
+    &["EQUIV", "DATA_FEATURE_POINTXY", "ROBOTLASER1", "ODOM", "FLASER"];
 
 /// Stands before the line of a factor, with a kernel and its threshold.
 pub(crate) const ROBUST: &str = "ROBUST";
@@ -233,7 +238,8 @@ impl Tag {
     /// How many entries the matrix has.
     pub fn entries(&self) -> usize {
         let is_entry = |name: &&str| {
-            name.strip_prefix(['I', 'C']).is_some_and(|n| n.bytes().all(|b| b.is_ascii_digit()))
+            name.strip_prefix(['I', 'C', 'S'])
+                .is_some_and(|n| n.bytes().all(|b| b.is_ascii_digit()))
         };
         self.layout.split(' ').filter(is_entry).count()
     }
@@ -244,6 +250,11 @@ impl Tag {
             (Dialect::Toro, Shape::Edge(Form::Pose2)) => EntryOrder::Toro,
             _ => EntryOrder::UpperTriangle,
         }
+    }
+
+    /// Whether its matrix is diagonal and written as standard deviations.
+    pub fn has_sigmas(&self) -> bool {
+        self.layout.contains(" S1")
     }
 
     /// Whether only Evergraph knows the line.

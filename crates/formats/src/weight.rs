@@ -26,6 +26,8 @@ pub enum WeightKind {
     SquareRoot,
     /// Covariance.
     Covariance,
+    /// Standard deviations, one for each row.
+    Sigmas,
 }
 
 /// In which order the entries of a symmetric or triangular matrix are written.

@@ -234,7 +234,8 @@ impl<'a, L: Landmark> Problem<'a, L> {
         let (best, chi2) = *minima.iter().min_by(|a, b| a.1.total_cmp(&b.1))?;
         let apart = 0.01 * self.nearest(&best);
         let rival = |(at, other): &(Vector3<f64>, f64)| {
-            (at - best).norm() > apart && other - chi2 < certainty.margin() * self.spread(0.5 * chi2)
+            (at - best).norm() > apart
+                && other - chi2 < certainty.margin() * self.spread(0.5 * chi2)
         };
         (!minima.iter().any(rival)).then_some(best)
     }

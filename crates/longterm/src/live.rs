@@ -38,7 +38,9 @@ impl Thinning {
         rules: &Rules<'_>,
         done: impl FnMut(),
     ) -> Result<Self, ThinningError> {
-        let mut live = Live { smoother, rules, thinning: Self::default(), done };
+        let alone = nodes.iter().copied().filter(|&node| is_alone(smoother.graph(), node));
+        let alone = alone.collect();
+        let mut live = Live { smoother, rules, thinning: Self::default(), alone, done };
         let outcome = check(live.smoother.graph(), nodes)
             .map_err(ThinningFailure::from)
             .and_then(|()| remove_in_order(&mut live, nodes, rules.order, rules.limit));
@@ -54,6 +56,9 @@ struct Live<'a, D> {
     smoother: &'a mut Smoother,
     rules: &'a Rules<'a>,
     thinning: Thinning,
+    /// Nodes that shared no factor with others from the beginning. Any other node that does not is the
+    /// last of its component, which keeps one.
+    alone: BTreeSet<VariableId>,
     done: D,
 }
 
@@ -93,6 +98,11 @@ impl<D> Live<'_, D> {
         node: VariableId,
         loss: Option<Loss>,
     ) -> Result<Option<Vec<VariableId>>, ThinningFailure> {
+        if is_alone(self.smoother.graph(), node) && !self.alone.contains(&node) {
+            let last = RemovalError::NoBlanket { variable: node };
+            self.thinning.kept.push((node, Needed::Planned(last)));
+            return Ok(None);
+        }
         let loss = match loss {
             None if self.rules.prices => {
                 let mut covariances = self.smoother.covariances();
@@ -159,6 +169,11 @@ fn loss(
         Err(error) if is_needed(&error) => unknown(),
         Err(error) => Err(error),
     }
+}
+
+/// Whether a node of the graph shares no factor with others.
+fn is_alone(graph: &Graph, node: VariableId) -> bool {
+    degree(graph, node).is_ok_and(|degree| degree == 0)
 }
 
 /// The number of other variables that share a factor with a variable.

@@ -21,10 +21,11 @@ pub enum RemovalError {
         /// The variable.
         variable: VariableId,
     },
-    /// There is no kept variable that could carry the information.
+    /// A whole component would be removed, of more than one variable: no kept variable could carry its
+    /// information.
     #[error(
         "variable {variable} shares no factor with a variable that stays, so nothing can carry what is known \
-         of it; keep one variable of its component, or drop the component with all of its factors"
+         of its component; keep one variable of it, or drop all of them with their factors"
     )]
     NoBlanket {
         /// The variable, or the first of its group.

@@ -68,7 +68,8 @@ impl Neighborhood {
         let blanket = blanket(overlay, removed);
         let Some(&first) = removed.first() else { return Err(RemovalError::Nothing) };
         // Earlier steps may have found that nothing is known between it and the rest.
-        if blanket.is_empty() && !overlay.leads_to_kept(removed) {
+        let is_alone = removed.len() == 1 && overlay.is_alone(first);
+        if blanket.is_empty() && !is_alone && !overlay.leads_to_kept(removed) {
             return Err(RemovalError::NoBlanket { variable: first });
         }
         overlay.check_last_pose(removed, &blanket)?;

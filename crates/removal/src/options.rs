@@ -102,6 +102,10 @@ pub struct Guard {
     pub rotation: f64,
     /// Length of a factor's whitened residual at the estimate, standard deviations. Default 100.
     pub mahalanobis: f64,
+    /// Most variables of a blanket that one factor may replace where the tree's offset is beyond the limits
+    /// above. On a larger blanket the tree stays, with its offset shortened to the limits: all later
+    /// removals nearby would pay for a large clique, and the next ones would be larger. Default 16.
+    pub largest_dense: usize,
 }
 
 impl Guard {
@@ -109,6 +113,12 @@ impl Guard {
     #[must_use]
     pub fn with_rotation(self, rotation: f64) -> Self {
         Self { rotation, ..self }
+    }
+
+    /// Sets [`largest_dense`](Self::largest_dense).
+    #[must_use]
+    pub fn with_largest_dense(self, variables: usize) -> Self {
+        Self { largest_dense: variables, ..self }
     }
 
     /// Sets [`mahalanobis`](Self::mahalanobis).
@@ -120,7 +130,7 @@ impl Guard {
 
 impl Default for Guard {
     fn default() -> Self {
-        Self { rotation: 1.0, mahalanobis: 100.0 }
+        Self { rotation: 1.0, mahalanobis: 100.0, largest_dense: 16 }
     }
 }
 

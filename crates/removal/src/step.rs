@@ -11,7 +11,7 @@ use crate::error::{MakeError, RemovalError};
 use crate::member::Member;
 use crate::minimum::Minimum;
 use crate::neighborhood::{Neighborhood, Read};
-use crate::options::{Offset, Options, Recovery, Topology};
+use crate::options::{Guard, Offset, Options, Recovery, Topology};
 use crate::overlay::{Overlay, Source};
 use crate::potential::{Potential, Sum};
 use crate::recover::{self, Made, composition};
@@ -32,6 +32,10 @@ pub enum Fallback {
     /// The tree's minimum lies further from the estimate than [`Guard`](crate::Guard) allows; one
     /// factor on the whole blanket reproduces the removed factors without approximation.
     DenseForOffset,
+    /// The same on a blanket that is larger than
+    /// [`Guard::largest_dense`](crate::Guard::largest_dense): the tree stays and its minimum is moved towards
+    /// the estimate. A part of the gradient is lost, so that other variables move.
+    ShortenedOffset,
 }
 
 /// A factor that a step adds.
@@ -309,6 +313,12 @@ impl Replacement {
                 if is_exact || is_near {
                     return Ok(Self { fallback, ..new });
                 }
+                if target.members.len() > guard.largest_dense {
+                    let share = new.allowed_share(guard);
+                    let minimum = &sum.minimum * share;
+                    let new = Self::make(overlay, target, &potentials, new.rows, &minimum, &own)?;
+                    return Ok(Self { fallback: Some(Fallback::ShortenedOffset), ..new });
+                }
                 fallback = Some(Fallback::DenseForOffset);
                 break;
             }
@@ -317,6 +327,13 @@ impl Replacement {
         let root = target.root.clone();
         let new = Self::make(overlay, target, &potentials, root, &target.minimum(), options)?;
         Ok(Self { topology: Topology::Dense, fallback, ..new })
+    }
+
+    /// The share of the offset that is within the limits of a guard.
+    fn allowed_share(&self, guard: &Guard) -> f64 {
+        let share = |limit: f64, actual: f64| if actual > limit { limit / actual } else { 1.0 };
+        let rotation = share(guard.rotation, self.known_rotation);
+        rotation.min(share(guard.mahalanobis, self.largest_length))
     }
 
     fn make(

@@ -72,8 +72,8 @@ pub enum Order {
     Lines,
     /// By ids, as the dialect has no order: pose k comes with every edge whose larger pose is k.
     Ids,
-    /// By ids although the dialect has an order: most loop closures stand behind poses that were added
-    /// after both of their ends, so that the lines are not in the order of recording.
+    /// By ids although the dialect has an order: most loop closures and sightings stand behind poses that
+    /// were added after all of theirs, so that the lines are not in the order of recording.
     IdsForLateEdges,
 }
 
@@ -83,7 +83,7 @@ impl fmt::Display for Order {
             Self::Times => "by time stamps",
             Self::Lines => "by lines",
             Self::Ids => "by ids",
-            Self::IdsForLateEdges => "by ids: most loop closures stand behind later poses",
+            Self::IdsForLateEdges => "by ids: most closures or sightings stand behind later poses",
         })
     }
 }

@@ -92,7 +92,7 @@ impl From<Order> for By {
 
 /// The order of a file, from its content. `has_order` says whether lines of its dialect are written as
 /// they are recorded.
-pub(crate) fn order_of(links: &[Link], nodes: usize, has_order: bool) -> Order {
+pub(crate) fn order_of(links: &[Link], nodes: &[Node], has_order: bool) -> Order {
     if links.iter().any(|link| link.time.is_some()) {
         return Order::Times;
     }
@@ -103,20 +103,23 @@ pub(crate) fn order_of(links: &[Link], nodes: usize, has_order: bool) -> Order {
     if 2 * late > closures { Order::IdsForLateEdges } else { Order::Lines }
 }
 
-/// Of the edges between poses that name no new pose: those after which a robot would have gone on, since
-/// neither end is the newest pose at their line; and all of them.
-fn late_closures(links: &[Link], nodes: usize) -> (usize, usize) {
-    let mut is_known = vec![false; nodes];
+/// Of the measurements that name no new pose: those of which no pose is the newest at their line, although
+/// a robot would have gone on by then; and all of them.
+fn late_closures(links: &[Link], nodes: &[Node]) -> (usize, usize) {
+    let poses = |link: &Link| -> SmallVec<[usize; 2]> {
+        link.ends.iter().copied().filter(|&end| nodes[end].kind.is_pose()).collect()
+    };
+    let mut is_known = vec![false; nodes.len()];
     let (mut newest, mut late, mut closures) = (None, 0, 0);
-    for link in links.iter().filter(|link| link.ties == Ties::Poses) {
+    for ends in links.iter().map(poses).filter(|ends| !ends.is_empty()) {
         let new: SmallVec<[usize; 2]> =
-            link.ends.iter().copied().filter(|&end| !is_known[end]).collect();
+            ends.iter().copied().filter(|&end| !is_known[end]).collect();
         if let Some(&last) = new.last() {
             newest = Some(last);
             new.iter().for_each(|&end| is_known[end] = true);
         } else {
             closures += 1;
-            late += usize::from(!link.ends.iter().any(|&end| Some(end) == newest));
+            late += usize::from(!ends.iter().any(|&end| Some(end) == newest));
         }
     }
     (late, closures)

@@ -63,7 +63,7 @@ impl Replay {
         };
         replay.gather(document)?;
         let has_order = document.dialect() != Dialect::G2o;
-        replay.recorded = order::order_of(&replay.links, count, has_order);
+        replay.recorded = order::order_of(&replay.links, &replay.nodes, has_order);
         replay.component = order::components(count, &replay.links);
         replay.steps =
             order::plan(&replay.nodes, &replay.links, &replay.fixed, replay.recorded.into());

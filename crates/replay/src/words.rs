@@ -29,6 +29,11 @@ pub(crate) fn explain(error: &SmootherError, id: &dyn Fn(VariableId) -> Option<u
             "the solution for {} is not finite: measurements or weights are too large for 64-bit numbers",
             name(*variable)
         ),
+        SmootherError::LargeClique { scalars, largest } => format!(
+            "the update would eliminate a clique of {scalars} scalars, more than {largest}: too many loop \
+             closures tie distant poses together, and every further step would take seconds. Look for wrong \
+             closures, solve the file at once with `evergraph optimize`, or raise --largest-clique"
+        ),
         other => other.to_string(),
     }
 }
@@ -40,7 +45,7 @@ pub(crate) fn explain_removal(error: &RemovalError, name: &dyn Fn(VariableId) ->
     };
     match error {
         RemovalError::NoBlanket { variable } => format!(
-            "{} shares no factor with a variable that stays, so nothing can carry what is known of it",
+            "{} shares no factor with a variable that stays, so nothing can carry what is known of its component",
             name(*variable)
         ),
         RemovalError::LargeBlanket { variable, dim, largest } => format!(

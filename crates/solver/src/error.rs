@@ -51,6 +51,18 @@ pub enum SmootherError {
         /// The variable.
         variable: VariableId,
     },
+    /// The update would eliminate a clique beyond [`Settings::largest_clique`](crate::Settings::largest_clique).
+    #[error(
+        "the update would eliminate a clique of {scalars} scalars, and `Settings::largest_clique` is {largest}: \
+         too many loop closures tie distant places together. Check them for wrong ones, remove nodes, or raise \
+         the bound"
+    )]
+    LargeClique {
+        /// Frontals and separator.
+        scalars: usize,
+        /// The bound.
+        largest: usize,
+    },
     /// The batch step on another thread panicked.
     #[error(
         "the batch step in the background panicked: a factor or a manifold does so at some estimate; its message is on standard error"

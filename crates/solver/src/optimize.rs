@@ -14,14 +14,16 @@ use crate::linearization::Blocks;
 use crate::planner::Mark;
 use crate::profile::Phase;
 use crate::quadratic::{
-    decrease_of_model, diagonal, gradient, retract_all, scaled_norm, steepest_descent,
-    within_radius,
+    decrease_of_model, diagonal, gradient, retract_all, rounding_of_error, scaled_norm,
+    steepest_descent, within_radius,
 };
 use crate::solve;
 use crate::tree::Tree;
 
 /// Damping at the first failed step, and the factor between tries.
 const FIRST_DAMPING: f64 = 1e-7;
+/// Less is lost when it is added to the diagonal.
+const SMALLEST_DAMPING: f64 = 1e-17;
 const DAMPING_FACTOR: f64 = 10.0;
 const LARGEST_DAMPING: f64 = 1e12;
 /// A step that moves every number by no more than this, relative to the number or to 1, whichever is
@@ -32,6 +34,8 @@ const STILL: f64 = 1e-15;
 const NOTHING: f64 = 1e-15;
 /// A full step that promises more of the error than this is no end.
 const PROMISING: f64 = 1e-6;
+/// A full step may promise so many times more than the error can tell where shorter ones tell nothing.
+const NEARLY: f64 = 16.0;
 /// A trust region this small relative to the Gauss-Newton step moves nothing.
 const SMALLEST_RADIUS: f64 = 1e-14;
 
@@ -111,10 +115,15 @@ impl Factorization {
         engine: &mut Engine,
     ) -> Result<BatchReport, SmootherError> {
         let may_damp = settings.method == Method::LevenbergMarquardt;
-        let more =
-            |damping: f64| if damping == 0.0 { FIRST_DAMPING } else { damping * DAMPING_FACTOR };
         let mut error = initial_error;
         let mut damping = 0.0;
+        // What a full step that fails is damped with. Long trajectories bend so easily that 1e-7 holds
+        // them fast: where it is enough and full steps still fail, less is tried.
+        let mut first = FIRST_DAMPING;
+        let more =
+            |damping: f64, first| if damping == 0.0 { first } else { damping * DAMPING_FACTOR };
+        // Whether less damping has failed at the current points, beginning with `first`.
+        let mut less_failed = false;
         let mut iterations = 0;
         // Whether the tree is the factorization at the current points with the current damping.
         let mut eliminated = true;
@@ -127,7 +136,8 @@ impl Factorization {
                     Ok(()) => eliminated = true,
                     // Damping also carries over points where the system is singular.
                     Err(SmootherError::Singular(_)) if may_damp && damping <= LARGEST_DAMPING => {
-                        damping = more(damping);
+                        less_failed = damping > 0.0;
+                        damping = more(damping, first);
                         debug!(damping, "singular, damped more");
                         continue;
                     }
@@ -150,16 +160,22 @@ impl Factorization {
                 info!(iteration = iterations, error, damping, "step taken");
                 self.relinearize_all(engine)?;
                 eliminated = false;
-                // A damped step is short because of the damping; only a full one proves the end.
-                let is_full = damping <= FIRST_DAMPING;
-                if (decrease <= negligible || still) && is_full {
+                let is_small = damping <= FIRST_DAMPING;
+                // A damped step may be short because of the damping. Only a full one proves the end, or one
+                // beside which a tenth of the damping was too little.
+                let is_longest = damping <= SMALLEST_DAMPING || (is_small && less_failed);
+                if (decrease <= negligible || still) && is_longest {
                     break Status::Converged;
                 }
+                if damping > 0.0 {
+                    first = (damping / DAMPING_FACTOR).clamp(SMALLEST_DAMPING, FIRST_DAMPING);
+                }
                 // Where this one tells nothing any more, a full one is to be seen next.
-                damping = match is_full || decrease <= self.rounding(error) {
+                damping = match is_small || decrease <= self.rounding(error) {
                     true => 0.0,
                     false => damping / DAMPING_FACTOR,
                 };
+                less_failed = false;
             } else if damping == 0.0
                 && (promised <= negligible
                     || still
@@ -171,7 +187,8 @@ impl Factorization {
             } else if damping > LARGEST_DAMPING {
                 break Status::NotConverged(Reason::NoDescent);
             } else {
-                damping = more(damping);
+                less_failed = damping > 0.0;
+                damping = more(damping, first);
                 eliminated = false;
                 debug!(error, trial_error, damping, "step refused, damped more");
             }
@@ -208,16 +225,26 @@ impl Factorization {
             let steepest = steepest_descent(&self.graph, &self.blocks, &gradient, &scale);
             let newton_length = scaled_norm(&newton, &scale);
             let negligible = self.negligible(settings, error);
+            let promised_by_newton = decrease_of_model(&self.graph, &self.blocks, &newton);
+            let told = rounding_of_error(&self.graph, &self.blocks, &self.points, error);
             loop {
                 let delta = within_radius(&newton, &steepest, &scale, radius);
                 let promised = decrease_of_model(&self.graph, &self.blocks, &delta);
                 let Trial { points: trial, error: trial_error } = self.try_step(&delta)?;
                 let still = is_still(&self.points, &trial);
-                if trial_error.is_finite() && trial_error <= error {
-                    let decrease = error - trial_error;
+                let full = radius >= newton_length;
+                let decrease = error - trial_error;
+                // A shorter step that no error can tell from none: neither can those that follow.
+                if !full && (still || (promised <= told && decrease <= told)) {
+                    break 'outer match promised_by_newton <= negligible.max(NEARLY * told) {
+                        true => Status::Converged,
+                        false => Status::NotConverged(Reason::NoDescent),
+                    };
+                }
+                // Written so that NaN is a failure. A shorter step must gain something.
+                if trial_error.is_finite() && (decrease > 0.0 || (full && decrease >= 0.0)) {
                     let length = scaled_norm(&delta, &scale);
                     let gain = decrease / promised;
-                    let full = radius >= newton_length;
                     if gain > 0.75 {
                         radius = radius.max(3.0 * length);
                     } else if gain < 0.25 {
@@ -234,7 +261,7 @@ impl Factorization {
                     }
                     break;
                 }
-                if (promised <= negligible || still) && radius >= newton_length {
+                if (promised <= negligible || still) && full {
                     break 'outer Status::Converged;
                 }
                 radius = 0.25 * radius.min(newton_length);
@@ -259,7 +286,13 @@ impl Factorization {
     /// Whether a full step raises the error by no more than rounding, and did not promise much: where such
     /// steps overshoot, as beside false loop closures, there is no other end.
     fn is_rounding(&self, trial: f64, error: f64, promised: f64) -> bool {
-        trial.is_finite() && trial - error <= self.rounding(error) && promised <= PROMISING * error
+        let rise = trial - error;
+        let of_sum = rise <= self.rounding(error) && promised <= PROMISING * error;
+        trial.is_finite()
+            && (of_sum || {
+                let told = rounding_of_error(&self.graph, &self.blocks, &self.points, error);
+                rise <= told && promised <= told
+            })
     }
 
     /// What the sum of so many terms is rounded by.

@@ -86,6 +86,28 @@ pub(crate) fn decrease_of_model(graph: &Graph, blocks: &Blocks, delta: &[f64]) -
     -mixed - 0.5 * squared
 }
 
+/// How far the error at `points` may be off: the numbers of the points are rounded, far from the origin
+/// by much, and so are residuals and their squares.
+pub(crate) fn rounding_of_error(graph: &Graph, blocks: &Blocks, points: &[f64], error: f64) -> f64 {
+    let mut squares = error * error;
+    for f in graph.factor_indices() {
+        let rows = graph.rows_at(f);
+        let block = blocks.get(f);
+        let residual = &block[block.len() - rows..];
+        let mut columns = block.chunks_exact(rows);
+        let mut of_factor = 0.0;
+        for &v in graph.unknowns_at(f) {
+            let size = points[graph.value_range(v)].iter().fold(1.0, |m: f64, x| m.max(x.abs()));
+            for column in columns.by_ref().take(graph.dim_at(v)) {
+                let products = column.iter().zip(residual).map(|(x, r)| (x * r).abs());
+                of_factor += size * products.sum::<f64>();
+            }
+        }
+        squares += of_factor * of_factor;
+    }
+    f64::EPSILON * squares.sqrt()
+}
+
 /// The minimizer of the model along `−D⁻¹ Jᵀr`.
 pub(crate) fn steepest_descent(
     graph: &Graph,

@@ -1,5 +1,6 @@
 //! Moving linearization points to the estimate, as the policy asks.
 
+use std::collections::HashSet;
 use std::ops::ControlFlow;
 
 use evergraph_model::Change;
@@ -9,7 +10,7 @@ use crate::background::{Background, Snapshot};
 use crate::batch::{BatchReport, BatchSettings, Status};
 use crate::eliminate::eliminate_pending;
 use crate::error::SmootherError;
-use crate::factorization::Engine;
+use crate::factorization::{Engine, Factorization};
 use crate::pending::SMALLEST_SLICE;
 use crate::profile::Phase;
 use crate::report::Report;
@@ -20,6 +21,13 @@ use crate::solve::Pass;
 /// Between sweeps, δ is passed down the tree where it changes by more than this share of the
 /// threshold.
 const COARSE_SHARE: f64 = 0.4;
+
+/// Relinearizations in one step: a large loop closure takes more than one, each much less than the last.
+const ROUNDS: u32 = 3;
+/// While a graph is small, a sweep comes after this part of its changes ...
+const YOUNG: u64 = 10;
+/// ... but no sooner than after so many.
+const SOONEST: u64 = 10;
 
 /// A check that is due.
 #[derive(Clone, Copy, Debug)]
@@ -46,6 +54,13 @@ impl Smoother {
             // All of them have been dropped.
             self.give_up();
         }
+        if let Some(check) = policy.fluid
+            && self.jump() > check.threshold
+        {
+            // A large loop closure. What is pending was for an estimate that is far off now.
+            self.give_up();
+            return self.check(Check { check, is_sweep: false }, report);
+        }
         if self.pending.is_active() {
             return self.advance(report);
         }
@@ -60,18 +75,39 @@ impl Smoother {
     /// The check that is due in this step: a sweep rather than a frequent one.
     fn check_due(&self) -> Option<Check> {
         let policy = self.settings.relinearization;
-        let since = |last: u64, check: Option<Fluid>| {
-            check.filter(|check| self.steps >= last + u64::from(check.every.get()))
+        let since = |last: u64, check: Option<Fluid>, soonest: u64| {
+            check.filter(|check| self.steps >= last + u64::from(check.every.get()).min(soonest))
         };
-        match since(self.checked.sweep, policy.sweep) {
+        let soonest = (self.steps / YOUNG).max(SOONEST);
+        match since(self.checked.sweep, policy.sweep, soonest) {
             Some(check) => Some(Check { check, is_sweep: true }),
-            None => since(self.checked.fluid, policy.fluid)
+            None => since(self.checked.fluid, policy.fluid, u64::MAX)
                 .map(|check| Check { check, is_sweep: false }),
         }
     }
 
-    /// Looks for variables that have moved too far, and begins to relinearize them.
-    fn check(&mut self, Check { check, is_sweep }: Check, report: &mut Report) {
+    /// How far the newest variable has moved since the last check, or since it came in. It stands in the
+    /// root, so this costs next to nothing.
+    fn jump(&mut self) -> f64 {
+        let Factorization { graph, tree, solution, newest, .. } = &mut self.factorization;
+        let instructions = self.engine.instructions;
+        newest.map_or(0.0, |newest| solution.jump(instructions, graph, tree, newest))
+    }
+
+    /// Looks for variables that have moved too far, and relinearizes them: at once, and again, where one is
+    /// beyond the threshold of the frequent check, or else in slices.
+    fn check(&mut self, due: Check, report: &mut Report) {
+        let mut next = Some(due);
+        for _ in 0..ROUNDS {
+            let Some(check) = next else { return };
+            let is_far = self.check_once(check, report);
+            let fluid = self.settings.relinearization.fluid.filter(|_| is_far);
+            next = fluid.map(|check| Check { check, is_sweep: false });
+        }
+    }
+
+    /// One round of [`check`](Self::check): whether variables far away have been relinearized.
+    fn check_once(&mut self, Check { check, is_sweep }: Check, report: &mut Report) -> bool {
         let policy = self.settings.relinearization;
         self.checked.fluid = self.steps;
         if is_sweep {
@@ -89,11 +125,12 @@ impl Smoother {
         let solution = &mut self.factorization.solution;
         let graph = &self.factorization.graph;
         let moved = solution.moved_beyond(graph, check.threshold, check.reach(), smallest);
-        report.largest_delta = Some(moved.largest);
+        report.largest_delta =
+            Some(report.largest_delta.map_or(moved.largest, |so_far| so_far.max(moved.largest)));
         self.checked.is_settled = moved.variables.is_empty();
         self.lap(Phase::Solve);
         if moved.variables.is_empty() {
-            return;
+            return false;
         }
         let (factorization, engine) = (&self.factorization, &mut self.engine);
         let (graph, tree) = (&factorization.graph, &factorization.tree);
@@ -110,10 +147,17 @@ impl Smoother {
         let begun =
             self.pending.start(now, &factorization.solution, &moved.variables, cliques, spread);
         self.lap(Phase::Detach);
+        let is_far = policy.fluid.is_some_and(|fluid| moved.largest > fluid.threshold);
         match begun {
-            Ok(work) if spread == 1 || work <= SMALLEST_SLICE => self.relinearize_at_once(report),
-            Ok(_) => {}
-            Err(error) => report.relinearization_refused = Some(error.into()),
+            Ok(work) if is_far || spread == 1 || work <= SMALLEST_SLICE => {
+                self.relinearize_at_once(report);
+                is_far && report.relinearization_refused.is_none()
+            }
+            Ok(_) => false,
+            Err(error) => {
+                report.relinearization_refused = Some(error.into());
+                false
+            }
         }
     }
 
@@ -128,7 +172,9 @@ impl Smoother {
                 let relinearized = self.report_on(&staged, &update);
                 report.variables_relinearized += relinearized.variables_relinearized;
                 report.cliques_eliminated += relinearized.cliques_eliminated;
-                report.relinearized = relinearized.relinearized;
+                let known: HashSet<_> = report.relinearized.iter().copied().collect();
+                let new = relinearized.relinearized.into_iter().filter(|v| !known.contains(v));
+                report.relinearized.extend(new);
                 self.commit(staged, update, Takeover::Complete);
             }
             Err(refusal) => {

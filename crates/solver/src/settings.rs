@@ -41,11 +41,13 @@ pub struct Fluid {
 pub struct Relinearization {
     /// The frequent check for what has moved far.
     pub fluid: Option<Fluid>,
-    /// The rare check for what has moved at all.
+    /// The rare check for what has moved at all. After few changes it comes more often: after a
+    /// twentieth of them, but at least 10.
     pub sweep: Option<Fluid>,
-    /// Over how many changes the work of relinearizing what a check found is spread, unless it is
+    /// Over how many changes the work of relinearizing what a sweep found is spread, unless it is
     /// next to nothing; 1 does it all in the change that finds it. The estimate is that of the old
-    /// linearization points until all is done.
+    /// linearization points until all is done. What is beyond the threshold of the frequent check is
+    /// relinearized at once, whatever this says.
     pub spread: NonZeroU32,
     /// Every so many changes all variables are relinearized and solved until convergence. Exact,
     /// and the slowest step by far; iSAM uses 100, the GLC paper 50.
@@ -108,8 +110,8 @@ impl Fluid {
 }
 
 impl Relinearization {
-    /// Every 10 changes what exceeds 0.09, if anything exceeds 0.25, and every 100 a sweep of what
-    /// exceeds 0.02; each spread over 10. The default.
+    /// Every 10 changes what exceeds 0.09, if anything exceeds 0.25, at once, and every 100 a sweep of
+    /// what exceeds 0.02, spread over 10. The default.
     pub const BOTH: Self = Self {
         fluid: Some(Fluid { threshold: 0.25, share: 0.36, every: interval(10) }),
         sweep: Some(Fluid { threshold: 0.02, share: 1.0, every: interval(100) }),
@@ -202,6 +204,12 @@ pub struct Settings {
     pub back_substitution_tolerance: f64,
     /// Threads for elimination; 1 never starts another. Results do not depend on it. Default 1.
     pub threads: usize,
+    /// Most scalars of a clique (frontals and separator) that an update may eliminate; a larger one is
+    /// refused with [`SmootherError::LargeClique`](crate::SmootherError::LargeClique). A clique of n scalars
+    /// takes n² numbers and at most n³/3 multiplications in each update that touches it: with 2000, 32 MB and
+    /// about a second. Loop closures between random places make such cliques. Batch optimizations are not
+    /// bounded. Default: no bound.
+    pub largest_clique: Option<usize>,
 }
 
 impl Default for Settings {
@@ -211,6 +219,7 @@ impl Default for Settings {
             relinearization: Relinearization::default(),
             back_substitution_tolerance: 1e-3,
             threads: 1,
+            largest_clique: None,
         }
     }
 }
@@ -257,6 +266,13 @@ impl Settings {
         self
     }
 
+    /// With a bound on the [scalars of a clique](Self::largest_clique).
+    #[must_use]
+    pub const fn with_largest_clique(mut self, scalars: Option<usize>) -> Self {
+        self.largest_clique = scalars;
+        self
+    }
+
     /// Checks every field.
     ///
     /// # Errors
@@ -274,6 +290,13 @@ impl Settings {
                 field: "relinearization.background",
                 value: "set".into(),
                 must: "unset, or used with `batch`, which says how often there is a batch step",
+            });
+        }
+        if self.largest_clique == Some(0) {
+            return Err(SettingsError {
+                field: "largest_clique",
+                value: "0".into(),
+                must: "positive, or none",
             });
         }
         if self.threads == 0 || self.threads > 1024 {

@@ -82,7 +82,8 @@ impl Smoother {
             background: None,
             steps: 0,
             estimate_cache: EstimateCache::default(),
-            engine: Engine::new(settings.elimination, Instructions::select()?, threads),
+            engine: Engine::new(settings.elimination, Instructions::select()?, threads)
+                .with_largest_clique(settings.largest_clique),
         })
     }
 

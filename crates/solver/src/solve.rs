@@ -267,6 +267,27 @@ impl State {
         self.changed[variable.index()] = (self.clock, self.clock);
     }
 
+    /// How far a variable that stands in a root has moved since the last refresh; 0 for another. Allocates
+    /// nothing. O(dim · root).
+    pub(crate) fn jump(
+        &mut self,
+        instructions: Instructions,
+        graph: &Graph,
+        tree: &Tree,
+        variable: VariableIndex,
+    ) -> f64 {
+        let Some(own) = tree.clique_of(variable).some() else { return 0.0 };
+        let clique = tree.clique(own);
+        if self.is_at_points || clique.parent.some().is_some() {
+            return 0.0;
+        }
+        let first = offset_of(graph, clique, variable);
+        solve_clique(instructions, clique, first, &mut self.scratch, |_, _| 0);
+        let known = &self.delta[graph.tangent_range(variable)];
+        let moved = self.scratch[first..].iter().zip(known).map(|(new, old)| (new - old).abs());
+        moved.fold(0.0, f64::max)
+    }
+
     /// A variable's point moved by its δ as of the last refresh.
     ///
     /// # Errors

@@ -12,7 +12,8 @@ fn poses(change: &mut Change, count: usize) -> Vec<Key<Pose2>> {
     let firm = Noise::from_sigmas(&[0.01, 0.01, 0.002]).unwrap();
     change.add_factor(Prior::new(keys[0], at(0), firm.clone()).unwrap());
     for k in 1..count {
-        let odometry = BetweenPose2::new(keys[k - 1], keys[k], at(k - 1).between(&at(k)), firm.clone());
+        let odometry =
+            BetweenPose2::new(keys[k - 1], keys[k], at(k - 1).between(&at(k)), firm.clone());
         change.add_factor(odometry.unwrap());
     }
     keys

@@ -105,6 +105,29 @@ impl Converter<'_> {
         changes.then_some(if source { 0.5 } else { 2.0 })
     }
 
+    /// A diagonal matrix as standard deviations.
+    pub(super) fn sigmas(
+        &self,
+        weight: &Weight,
+        dim: usize,
+        place: &Place,
+    ) -> Result<Weight, FormatError> {
+        if weight.kind == WeightKind::Sigmas {
+            return Ok(weight.clone());
+        }
+        let information = self.information(weight, dim, place)?;
+        let is_diagonal = information == DMatrix::from_diagonal(&information.diagonal());
+        if !is_diagonal || information.diagonal().iter().any(|x| *x <= 0.0) {
+            return Err(self.unsupported("bearings and ranges that are correlated", place));
+        }
+        let entries = information.diagonal().map(|x| 1.0 / x.sqrt());
+        Ok(Weight {
+            kind: WeightKind::Sigmas,
+            order: EntryOrder::UpperTriangle,
+            entries: entries.iter().copied().collect(),
+        })
+    }
+
     pub(super) fn weight(
         &self,
         weight: &Weight,
@@ -143,7 +166,8 @@ impl Converter<'_> {
             scale_rotation(&mut information, factor);
         }
         let matrix = match kind {
-            WeightKind::Information => information,
+            // No dialect has all of its matrices as standard deviations.
+            WeightKind::Information | WeightKind::Sigmas => information,
             // What is clipped is clipped as the engine does, or the optimum would move.
             WeightKind::SquareRoot => Noise::from_information_clipped(&information, f64::INFINITY)
                 .map_err(|error| check::bad(place, error.to_string()))?

@@ -222,10 +222,15 @@ impl<'a> Converter<'a> {
             Record::GeodeticOrigin { .. } if !is_g2o => {
                 return Err(self.unsupported("a geodetic origin", place));
             }
-            Record::Vertex { at: Coordinates::Point2(_) | Coordinates::Point3(_), .. }
+            Record::Vertex { at: Coordinates::Point2(_), .. } if self.target == Dialect::Toro => {
+                return Ok(None);
+            }
+            Record::Vertex { at: Coordinates::Point3(_), .. }
             | Record::Edge {
                 measurement: Coordinates::Point2(_) | Coordinates::Point3(_), ..
-            } if self.target == Dialect::Toro => return Err(self.unsupported("landmarks", place)),
+            } if self.target == Dialect::Toro => {
+                return Err(self.unsupported("landmarks that are seen by position", place));
+            }
             Record::Fix { .. } | Record::GeodeticOrigin { .. } => record.clone(),
             Record::Vertex { id, at } => {
                 Record::Vertex { id: self.id(*id, at.kind()), at: self.coordinates(at, place)? }
@@ -266,7 +271,11 @@ impl<'a> Converter<'a> {
         let holds = match self.target {
             Dialect::G2o => true,
             Dialect::Pyfg => matches!(measurement.quantity, Quantity::Prior | Quantity::Range),
-            Dialect::Toro | Dialect::Isam => false,
+            Dialect::Toro => {
+                measurement.quantity == Quantity::BearingRange
+                    && measurement.kinds()[..] == [Kind::Pose2, Kind::Point2]
+            }
+            Dialect::Isam => false,
         };
         if !holds {
             return Err(self.unsupported(measurement.quantity.name(), place));
@@ -274,7 +283,11 @@ impl<'a> Converter<'a> {
         let mut converted = self.prior_of_robot(measurement, place)?;
         let rescale = self.rescale(record).filter(|_| converted.weight == measurement.weight);
         let rows = measurement.rows().unwrap_or(0);
-        converted.weight = self.weight(&converted.weight, rows, rescale, place)?;
+        converted.weight = if self.target == Dialect::Toro {
+            self.sigmas(&converted.weight, rows, place)?
+        } else {
+            self.weight(&converted.weight, rows, rescale, place)?
+        };
         converted.parameter = self.offset_for(record);
         for (id, kind) in &mut converted.ends {
             *id = self.id(*id, *kind);

@@ -66,7 +66,7 @@ pub enum TrajectoryError {
     },
     /// Two poses of one time, which a TUM file cannot tell apart.
     #[error(
-        "{name}: poses {first} and {second} have the same time {time}, which no TUM file can hold; write one robot at a time, or without times"
+        "{name}: poses {first} and {second} have the same time {time}, which no TUM file can hold; write each robot from a file of its own, or KITTI, which has no times"
     )]
     EqualTimes {
         /// The trajectory.

@@ -28,6 +28,7 @@ pub use stamps::Stamps;
 use crate::convert;
 use crate::coordinates::Coordinates;
 use crate::document::Document;
+use crate::names;
 use crate::record::Record;
 
 /// A format of trajectory files.
@@ -190,14 +191,15 @@ impl Trajectory {
         self.times.as_deref()
     }
 
-    /// When a pose was: its time, or its id as a number where times are not known.
+    /// When a pose was: its time, or its id as a number where times are not known. Of ids that are names of
+    /// one robot (`x12`, GTSAM's keys) the number counts.
     ///
     /// # Panics
     /// When there is no pose of this index.
     pub fn time_or_id(&self, index: usize) -> f64 {
         match (&self.times, &self.ids) {
             (Some(times), _) => times[index],
-            (None, Some(ids)) => ids[index] as f64,
+            (None, Some(ids)) => names::number_of(ids[index], ids) as f64,
             (None, None) => index as f64,
         }
     }

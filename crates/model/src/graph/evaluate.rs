@@ -127,9 +127,11 @@ impl Graph {
             for (storage, &variable) in storages.iter_mut().zip(&term.variables) {
                 *storage = &values[self.value_range(variable)];
             }
-            guarded_factor(|| self.factor_id(index), &*term.factor, || {
-                call(&*term.factor, &Arguments::new(storages))
-            })
+            guarded_factor(
+                || self.factor_id(index),
+                &*term.factor,
+                || call(&*term.factor, &Arguments::new(storages)),
+            )
         })
     }
 }

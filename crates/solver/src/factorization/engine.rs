@@ -19,6 +19,8 @@ pub(crate) struct Engine {
     pub(crate) elimination: Elimination,
     pub(crate) instructions: Instructions,
     pub(crate) threads: Option<Arc<rayon::ThreadPool>>,
+    /// As [`Settings::largest_clique`](crate::Settings::largest_clique).
+    pub(crate) largest_clique: Option<usize>,
     pub(crate) planner: Planner,
     pub(crate) workspace: Workspace,
     pub(super) buffers: Buffers,
@@ -53,10 +55,17 @@ impl Engine {
             elimination,
             instructions,
             threads,
+            largest_clique: None,
             planner: Planner::default(),
             workspace: Workspace::default(),
             buffers: Buffers::default(),
         }
+    }
+
+    /// With a bound on the scalars of a clique that an update eliminates.
+    pub(crate) fn with_largest_clique(mut self, scalars: Option<usize>) -> Self {
+        self.largest_clique = scalars;
+        self
     }
 
     /// Frees buffers that are far larger than a tree of so many cliques and numbers needs.

@@ -5,7 +5,7 @@ use evergraph_model::{Change, FactorIndex, Staged, VariableIndex};
 use super::engine::Engine;
 use super::state::Factorization;
 use super::undo::Undo;
-use crate::eliminate::{Eliminated, Failure};
+use crate::eliminate::{Eliminated, Failure, NodeStructure};
 use crate::error::SmootherError;
 use crate::pending::Pending;
 use crate::planner::{Now, Plan};
@@ -159,6 +159,10 @@ impl Factorization {
         let now = Now { last: newest, ..self.now() };
         let buffers = (engine.take_plan(), &mut engine.workspace.clock);
         let plan = engine.planner.plan_change(now, staged, undo.moved(), pending, buffers);
+        if let Some(error) = too_large(&plan, engine.largest_clique) {
+            engine.buffers.plan = plan;
+            return Err(error.into());
+        }
         // Eliminate, bottom-up.
         match self.eliminate_plan(&plan, pending, None, engine) {
             Ok(eliminated) => Ok((plan, eliminated)),
@@ -266,4 +270,17 @@ impl Factorization {
             pending.swap(&self.graph, &mut self.points, &mut self.blocks);
         }
     }
+}
+
+/// The largest new clique of a plan, if it is beyond the bound.
+fn too_large(plan: &Plan, bound: Option<usize>) -> Option<SmootherError> {
+    let largest = bound?;
+    let scalars = plan.job.nodes.iter().filter_map(|node| match &node.structure {
+        NodeStructure::New(structure) => {
+            Some((structure.frontal_dim + structure.separator_dim) as usize)
+        }
+        NodeStructure::Existing(_) | NodeStructure::Prefix { .. } => None,
+    });
+    let scalars = scalars.max().filter(|&scalars| scalars > largest)?;
+    Some(SmootherError::LargeClique { scalars, largest })
 }
