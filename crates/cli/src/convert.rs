@@ -82,7 +82,7 @@ pub(crate) fn tell(saved: &Saved, path: &Path, output: Output) {
     if saved.added_vertices > 0 {
         let count = saved.added_vertices;
         output.warn(&format!(
-            "{path}: TORO files need vertices; {count} were composed from odometry"
+            "{path}: {count} vertices that the format needs were composed from the measurements"
         ));
     }
     if written.renumbered_landmarks > 0 {

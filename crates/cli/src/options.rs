@@ -5,6 +5,7 @@ use std::num::NonZeroU32;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{ArgAction, Args, ValueEnum};
 use evergraph::evaluate::Map;
 use evergraph::formats::{
@@ -49,6 +50,16 @@ impl Common {
         let cores = || std::thread::available_parallelism().map_or(1, usize::from).min(1024);
         self.threads.map_or_else(cores, usize::from)
     }
+}
+
+/// The path of a graph. The name of a kernel in its place was meant for the option before it.
+pub(crate) fn graph_path() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().try_map(|path| match path.to_str() {
+        Some(text) if kernel(text).is_ok() && !path.exists() => Err(format!(
+            "there is no such file; a kernel is joined to its option by `=`: --robust={text}"
+        )),
+        _ => Ok(path),
+    })
 }
 
 /// How files are read.
@@ -337,18 +348,23 @@ pub(crate) struct Policy {
     #[arg(long, value_enum, default_value = "both")]
     pub relinearize: PolicyName,
     /// A batch to convergence every N steps, besides the rest of the policy
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = steps)]
     pub relinearize_every: Option<NonZeroU32>,
     /// How far an estimate may move (m, rad) before it is relinearized, with all that moved about a third
     /// as far [default: 0.25]
     #[arg(long, value_name = "X", allow_negative_numbers = true, value_parser = threshold)]
     pub relinearize_threshold: Option<f64>,
     /// Look for what moved far every N steps [default: 10]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = steps)]
     pub fluid_every: Option<NonZeroU32>,
     /// Spread the work of a sweep over N steps [default: 10]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = steps)]
     pub relinearize_spread: Option<NonZeroU32>,
+}
+
+fn steps(text: &str) -> Result<NonZeroU32, String> {
+    let steps = text.parse::<u32>().ok().and_then(NonZeroU32::new);
+    steps.ok_or_else(|| format!("give a number of steps from 1 to {}", u32::MAX))
 }
 
 fn threshold(text: &str) -> Result<f64, String> {

@@ -14,7 +14,7 @@ use tracing::info;
 
 use crate::error::Error;
 use crate::fit;
-use crate::options::{Common, Policy, Reading, Solving, StartFrom};
+use crate::options::{Common, Policy, Reading, Solving, StartFrom, graph_path};
 use crate::output::Output;
 use crate::outputs::Outputs;
 use crate::progress::Progress;
@@ -53,6 +53,7 @@ const SETTLED: f64 = 1e-3;
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Arguments {
     /// A g2o, TORO, iSAM or PyFactorGraph file; without it, a sample that is compiled into the program
+    #[arg(value_parser = graph_path())]
     file: Option<PathBuf>,
     #[command(flatten)]
     policy: Policy,

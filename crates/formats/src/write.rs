@@ -19,8 +19,8 @@ use crate::write_line::push_line;
 pub struct Written {
     /// Lines.
     pub lines: usize,
-    /// Vertices that the target has no line for: an iSAM file has none, and its readers start from
-    /// odometry.
+    /// Vertices that the target has no line for: an iSAM file has none, a TORO file none of landmarks,
+    /// and their readers start from odometry and sightings.
     pub dropped_vertices: usize,
     /// Landmarks that got another id: iSAM numbers poses and landmarks apart, g2o does not. Those
     /// whose id a pose has, too, are numbered on from the largest id, in order.
@@ -47,8 +47,8 @@ impl Document {
     /// sensor offsets. What gets lost, added or another id is counted in [`Written`].
     ///
     /// # Errors
-    /// [`FormatError::Unsupported`] for what the dialect cannot hold (landmarks in TORO, FIX outside
-    /// g2o), [`FormatError::BadMeasurement`] for a matrix that cannot be converted,
+    /// [`FormatError::Unsupported`] for what the dialect cannot hold (in TORO landmarks that are not seen by
+    /// bearing and range, FIX outside g2o), [`FormatError::BadMeasurement`] for a matrix that cannot be converted,
     /// [`FormatError::NoName`] and [`FormatError::NameTaken`] where ids make no names,
     /// [`FormatError::NoVertices`] where [`needs_vertices`](Self::needs_vertices) says so,
     /// [`FormatError::NothingToWrite`], [`FormatError::Write`].
@@ -149,8 +149,13 @@ impl Document {
     }
 
     /// Whether the document has to get vertices before it can be written as `dialect`: without them
-    /// nothing would tell TORO's EDGE2 from iSAM's. `evergraph_replay::with_start_vertices` composes them.
+    /// nothing would tell TORO's EDGE2 from iSAM's, and where there are vertices, only TORO's landmarks
+    /// can do without. `evergraph_replay::with_start_vertices` composes them.
     pub fn needs_vertices(&self, dialect: Dialect) -> bool {
+        let (summary, count) = (self.summary(), self.summary().vertices);
+        if self.dialect == Dialect::Toro && matches!(dialect, Dialect::G2o | Dialect::Pyfg) {
+            return count > 0 && count < summary.poses + summary.landmarks;
+        }
         let is_bare = self.summary().vertices == 0 && self.summary().landmarks == 0;
         dialect == Dialect::Toro && self.dialect != Dialect::Toro && is_bare
     }

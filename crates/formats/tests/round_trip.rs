@@ -154,7 +154,7 @@ fn graphs_survive_a_detour_through_another_dialect() {
                     continue;
                 }
                 Err(FormatError::NoVertices { .. }) => {
-                    assert_eq!((document.summary().vertices, detour), (0, Dialect::Toro));
+                    assert!(document.needs_vertices(detour));
                     continue;
                 }
                 Err(FormatError::NothingToWrite { .. }) => {

@@ -1,14 +1,17 @@
-//! Vertices for documents that have none.
+//! Vertices for documents that lack some.
 
-use evergraph_formats::Document;
-use evergraph_model::Graph;
+use std::collections::BTreeSet;
+
+use evergraph_formats::{Document, Record};
+use evergraph_model::{Graph, Pose2, Pose3, Value};
 
 use crate::error::ReplayerError;
-use crate::options::ReplayOptions;
+use crate::options::{Initial, ReplayOptions};
 use crate::state::Replay;
 
-/// The document with vertices at the start values of a replay: what a file of edges alone needs to be
-/// written as TORO, which is known by its vertices ([`Document::needs_vertices`]).
+/// The document with a vertex for each variable, at the start values of a replay where the file has none.
+/// A file of edges alone needs them to be written as TORO, and landmarks of a TORO file need them elsewhere
+/// ([`Document::needs_vertices`]). Vertices of the file stay as they are.
 ///
 /// # Errors
 /// [`ReplayerError`] when the document is no graph.
@@ -26,11 +29,22 @@ use crate::state::Replay;
 /// # }
 /// ```
 pub fn with_start_vertices(document: &Document) -> Result<Document, ReplayerError> {
-    let options = ReplayOptions { prior: None, ..ReplayOptions::default() };
+    let options =
+        ReplayOptions { prior: None, initial: Initial::FromFile, ..ReplayOptions::default() };
     let mut replay = Replay::new(document, &options)?;
     let mut change = Graph::new().change();
     replay.everything(&mut change)?;
     let values = change.new_variables().iter().map(|(_, value)| value.clone());
+    let there: BTreeSet<(u64, bool)> = document
+        .records()
+        .filter_map(|record| match record {
+            Record::Vertex { id, at } => Some((*id, at.kind().is_pose())),
+            _ => None,
+        })
+        .collect();
+    let is_pose = |value: &Value| value.get::<Pose2>().is_some() || value.get::<Pose3>().is_some();
     let ids: Vec<u64> = replay.ids().map(|(id, _)| id).collect();
-    Ok(document.with_vertices(ids.into_iter().zip(values))?)
+    let is_missing = |(id, value): &(u64, Value)| !there.contains(&(*id, is_pose(value)));
+    let missing = ids.into_iter().zip(values).filter(is_missing);
+    Ok(document.with_vertices(missing)?)
 }

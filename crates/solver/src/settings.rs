@@ -42,7 +42,7 @@ pub struct Relinearization {
     /// The frequent check for what has moved far.
     pub fluid: Option<Fluid>,
     /// The rare check for what has moved at all. After few changes it comes more often: after a
-    /// twentieth of them, but at least 10.
+    /// tenth of them, but at least 10.
     pub sweep: Option<Fluid>,
     /// Over how many changes the work of relinearizing what a sweep found is spread, unless it is
     /// next to nothing; 1 does it all in the change that finds it. The estimate is that of the old
