@@ -49,7 +49,8 @@ impl World {
         let every = |n| NonZeroU32::new(n).unwrap();
         let settings = Settings::default().with_elimination(elimination).with_relinearization(
             Relinearization::NEVER
-                .with_fluid(Some(Fluid::new(0.01, 1.0, every(3))))
+                .with_fluid(Some(Fluid::new(0.2, 1.0, every(5)))) // at once
+                .with_sweep(Some(Fluid::new(0.01, 1.0, every(3)))) // in slices
                 .with_spread(every(4))
                 .with_batch(Some(every(17))),
         );

@@ -49,7 +49,7 @@ fn bent(relinearization: Relinearization, poses: usize) -> (Smoother, Vec<Key<Po
 fn checks_go_on_when_all_that_was_to_move_is_dropped() {
     let every = |n| std::num::NonZeroU32::new(n).unwrap();
     let relinearization = Relinearization::NEVER
-        .with_fluid(Some(Fluid::new(0.01, 1.0, every(1))))
+        .with_sweep(Some(Fluid::new(0.01, 1.0, every(1))))
         .with_spread(every(50));
     let (mut smoother, keys) = bent(relinearization, 400);
     let mut change = smoother.change();
@@ -60,6 +60,40 @@ fn checks_go_on_when_all_that_was_to_move_is_dropped() {
     change.add_factor(Prior::new(pose, Pose2::identity(), noise(0.1)).unwrap());
     let relinearized = smoother.apply(change).unwrap().variables_relinearized;
     assert_eq!(relinearized, 1);
+}
+
+/// A large closure does not wait for the next check, and one round is not enough.
+#[test]
+fn a_large_closure_is_relinearized_in_its_step() {
+    let mut smoother = Smoother::new(Settings::default()).unwrap();
+    let mut keys: Vec<Key<Pose2>> = Vec::new();
+    // A circle whose odometry turns too little; the closure says where it ends. No check is due then.
+    let (count, turn) = (63, std::f64::consts::TAU / 62.0);
+    let mut at = Pose2::identity();
+    for k in 0..count {
+        let mut change = smoother.change();
+        keys.push(change.add_variable(&at));
+        if k == 0 {
+            change.add_factor(Prior::new(keys[0], at, noise(0.01)).unwrap());
+        } else {
+            let step = Pose2::new(1.0, 0.0, 0.9 * turn);
+            let odometry = BetweenPose2::new(keys[k - 1], keys[k], step, noise(0.1));
+            change.add_factor(odometry.unwrap());
+        }
+        at = at.compose(&Pose2::new(1.0, 0.0, 0.9 * turn));
+        let report = smoother.apply(change).unwrap();
+        assert_eq!(report.variables_relinearized, 0, "{k}");
+    }
+    let mut change = smoother.change();
+    let closes = Pose2::new(0.0, 0.0, 0.0);
+    change.add_factor(BetweenPose2::new(keys[0], keys[62], closes, noise(0.01)).unwrap());
+    let report = smoother.apply(change).unwrap();
+    assert!(report.relinearized.len() > count / 2, "{}", report.relinearized.len());
+    // More often than once each: in several rounds.
+    assert!(report.variables_relinearized > report.relinearized.len() * 3 / 2, "{report:?}");
+    let found = smoother.error().unwrap();
+    let best = smoother.clone().optimize(&BatchSettings::default()).unwrap().error;
+    assert!(found < 1.01 * best, "{found}, best {best}");
 }
 
 #[test]

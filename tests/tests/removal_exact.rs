@@ -161,6 +161,10 @@ fn condition(normal: &Normal) -> f64 {
 /// and the length of the residual. Returns
 /// the condition number and the worst error over it.
 fn compare(full: &Normal, reduced: &Normal, what: &str) -> [f64; 2] {
+    // A node that shares no factor with others has no blanket to compare.
+    if reduced.dim == 0 {
+        return [0.0, 0.0];
+    }
     let gone = full.dim - reduced.dim;
     let (expected, expected_mean) = full.inverse().unwrap_or_else(|| panic!("{what}: singular"));
     let (found, mean) = reduced.inverse().unwrap_or_else(|| panic!("{what}: a direction is free"));

@@ -12,11 +12,12 @@ use serde_json::json;
 
 use crate::error::Error;
 use crate::files;
-use crate::options::{Common, Policy, Reading, Solving, StartFrom};
+use crate::options::{Common, Policy, Solving, StartFrom};
 use crate::progress::Progress;
-use crate::replay::warn_of_landmarks;
+use crate::reading::Reading;
 use crate::report::{self, SCHEMA};
 use crate::table::{CONVENTION, Rows, milliseconds, number};
+use crate::warnings::warn_of_landmarks;
 
 const EXAMPLES: &str = "\
 Examples:

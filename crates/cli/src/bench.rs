@@ -12,10 +12,11 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::error::Error;
-use crate::options::{Common, Policy, Reading, Solving, StartFrom};
-use crate::replay::warn_of_landmarks;
+use crate::options::{Common, Policy, Solving, StartFrom};
+use crate::reading::Reading;
 use crate::report::{self, SCHEMA, Times};
 use crate::table::{CONVENTION, Columns, Rows, milliseconds, number};
+use crate::warnings::warn_of_landmarks;
 
 const EXAMPLES: &str = "\
 Examples:

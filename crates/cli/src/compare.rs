@@ -16,11 +16,12 @@ use serde_json::{Map, json};
 
 use crate::error::Error;
 use crate::files;
-use crate::options::{Common, Reading, Solving, StartFrom};
+use crate::options::{Common, Solving, StartFrom};
+use crate::reading::Reading;
 use crate::reduction::{self, Reduction, gauge_factors, incomparable, warn_of_ends};
-use crate::replay::warn_of_landmarks;
 use crate::report::{self, SCHEMA};
 use crate::table::{Rows, milliseconds};
+use crate::warnings::warn_of_landmarks;
 
 const EXAMPLES: &str = "\
 Examples:

@@ -8,8 +8,9 @@ use serde_json::json;
 
 use crate::error::Error;
 use crate::files::{self, Saved};
-use crate::options::{Common, Reading};
+use crate::options::Common;
 use crate::output::Output;
+use crate::reading::Reading;
 use crate::report::{self, SCHEMA};
 
 const EXAMPLES: &str = "\

@@ -132,7 +132,7 @@ impl Error {
         }
     }
 
-    /// Whether an update would have taken too long.
+    /// True if an update was refused for its largest clique.
     pub(crate) fn is_too_dense(&self) -> bool {
         match self {
             Self::Replay(ReplayerError::Step { source, .. }) => {

@@ -13,7 +13,8 @@ use serde_json::{Value, json};
 
 use crate::error::Error;
 use crate::files;
-use crate::options::{Common, Reading};
+use crate::options::Common;
+use crate::reading::Reading;
 use crate::report::{self, SCHEMA};
 use crate::table::{Rows, number};
 

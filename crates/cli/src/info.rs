@@ -9,7 +9,8 @@ use evergraph::{Overview, Start};
 use serde_json::{Value, json};
 
 use crate::error::Error;
-use crate::options::{Common, Reading};
+use crate::options::Common;
+use crate::reading::Reading;
 use crate::report::{self, SCHEMA};
 use crate::table::{CONVENTION, Rows, number};
 

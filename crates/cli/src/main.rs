@@ -10,6 +10,7 @@ mod convert;
 mod error;
 mod evaluate;
 mod files;
+mod final_batch;
 mod fit;
 mod info;
 mod log;
@@ -20,6 +21,7 @@ mod output;
 mod outputs;
 mod plot;
 mod progress;
+mod reading;
 mod reduction;
 mod remove;
 mod replay;
@@ -28,9 +30,11 @@ mod simulate;
 mod stderr;
 mod steps;
 mod table;
+mod warnings;
 
 use std::process::ExitCode;
 
+use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::options::Common;
@@ -94,6 +98,10 @@ impl Command {
 }
 
 fn main() -> ExitCode {
+    if let Some(kernel) = options::detached_kernel(std::env::args_os()) {
+        let message = format!("a kernel is joined to its option by `=`: --robust={kernel}");
+        Program::command().error(ErrorKind::InvalidValue, message).exit();
+    }
     let command = Program::parse().command;
     if let Some(common) = command.common() {
         log::start(common);

@@ -10,11 +10,12 @@ use serde_json::json;
 
 use crate::error::Error;
 use crate::fit;
-use crate::options::{Common, Reading, Solving, StartFrom, graph_path};
+use crate::options::{Common, Solving, StartFrom};
 use crate::outputs::Outputs;
-use crate::replay::{warn_of_landmarks, warn_of_weak_priors};
+use crate::reading::Reading;
 use crate::report::{self, Report, Run, Status, Times};
 use crate::table::number;
+use crate::warnings::{warn_of_landmarks, warn_of_weak_priors};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -64,7 +65,6 @@ impl Init {
 #[command(after_help = EXAMPLES)]
 pub(crate) struct Arguments {
     /// A g2o, TORO, iSAM or PyFactorGraph file
-    #[arg(value_parser = graph_path())]
     file: PathBuf,
     /// How steps are chosen
     #[arg(long, value_enum, default_value = "lm", help_heading = "Solving")]

@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use evergraph::factors::{Bearing2, Geodetic, GpsPosition2, LocalFrame};
 use evergraph::formats::Dialect;
-use evergraph::initialize::{Body, End, Geometry, Sighting, place_landmark};
+use evergraph::initialize::{Body, Certainty, End, Geometry, Sighting, place_landmark};
 use evergraph::prelude::*;
 
 type Failure = Box<dyn std::error::Error>;
@@ -183,6 +183,6 @@ impl Rover {
             let bearing = Bearing2::new(pose, light, bearing, self.camera.clone())?;
             sightings.extend(Sighting::new(Arc::new(bearing), light.id(), known));
         }
-        Ok(place_landmark(&sightings))
+        Ok(place_landmark(&sightings, Certainty::Sure))
     }
 }

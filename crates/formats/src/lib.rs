@@ -26,10 +26,11 @@
 //! | g2o | `EDGE_SE3_PRIOR` | `id offset x y z qx qy qz qw 21I`: the pose of the sensor |
 //! | g2o | `EDGE_PRIOR_SE2_XY` | `id x y 3I`: position, as of 2D GPS |
 //! | g2o | `EDGE_SE3_XYZ_PRIOR` | `id [offset] x y z 6I`: position; the offset, which g2o names and does not use, may be missing |
+//! | g2o | `EDGE_SE3_PRIORXYZ` | `id x y z 6I`: position (hdl_graph_slam); written as the line above |
 //! | g2o | `EDGE_BEARING_SE2_XY` | `pose point bearing I` |
 //! | g2o | `EDGE_POINTXY`, `EDGE_POINTXYZ` | `i j x y 3I`, `i j x y z 6I` |
 //! | g2o | `PARAMS_SE3OFFSET` | `id x y z qx qy qz qw`, `robot_from_sensor` |
-//! | g2o | `FIX` | one id or several |
+//! | g2o | `FIX` | one id or several, of poses or landmarks that stay where they are |
 //! | own | `FACTOR_ANTENNA_SE2`, `_SE3` | `id x y ax ay 3I`, `id x y z ax ay az 6I`: where in the world, then where on the robot |
 //! | own | `FACTOR_DEPTH_SE3`, `FACTOR_HEADING_SE2`, `_SE3` | `id z I`, `id heading I` |
 //! | own | `FACTOR_ROLL_PITCH_SE3` | `id roll pitch 3I` |
@@ -48,6 +49,7 @@
 //! | TORO | `EDGE2` | `i j x y theta I11 I12 I22 I33 I13 I23` |
 //! | TORO | `VERTEX3` | `id x y z roll pitch yaw` |
 //! | TORO | `EDGE3` | `i j x y z roll pitch yaw 21I` |
+//! | TORO | `BR` | `pose landmark bearing range S1 S2`, standard deviations; landmarks have no vertices (GTSAM) |
 //! | iSAM | `EDGE2`, `ODOMETRY`, `Constraint2` | `i j x y theta 6I` |
 //! | iSAM | `LANDMARK` | `pose point x y 3I` |
 //! | iSAM | `EDGE3` | `i j x y z roll pitch yaw 21I`, or no entries for the identity |
@@ -70,7 +72,7 @@
 //! otherwise; a name's id is GTSAM's symbol, the letter in the top byte. Its VERTEX lines are ground
 //! truth, not an estimate ([`Document::vertices_are_truth`]).
 //!
-//! `EQUIV`, `BR`, `DATA_FEATURE_POINTXY`, `ROBOTLASER1`, `ODOM`, `FLASER` and `#` lines are passed
+//! `EQUIV`, `DATA_FEATURE_POINTXY`, `ROBOTLASER1`, `ODOM`, `FLASER` and `#` lines are passed
 //! over and counted; every other line is an error that names file and line, unless reading is
 //! lenient.
 //!

@@ -7,7 +7,7 @@ use flate2::bufread::MultiGzDecoder;
 /// Most bytes that are inflated: a small file can hold terabytes of zeros.
 const MOST: u64 = 4 << 30;
 
-/// Whether a file begins as gzip files do.
+/// True if a file begins as gzip files do.
 pub(crate) fn is_gzip(head: &[u8]) -> bool {
     head.starts_with(&[0x1f, 0x8b])
 }

@@ -252,9 +252,9 @@ impl Tag {
         }
     }
 
-    /// Whether its matrix is diagonal and written as standard deviations.
+    /// True if its matrix is diagonal and written as standard deviations.
     pub fn has_sigmas(&self) -> bool {
-        self.layout.contains(" S1")
+        self.dialect == Toro && matches!(self.shape, Measurement(..))
     }
 
     /// Whether only Evergraph knows the line.

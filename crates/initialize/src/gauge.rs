@@ -125,8 +125,8 @@ impl Gauge {
         self.free == 0
     }
 
-    /// How many directions are free, or known to no better than 1000 m or 0.5 rad: start values cannot be
-    /// trusted along these yet.
+    /// The number of directions that are free, or known to no better than 1000 m or 0.5 rad: start values cannot
+    /// be trusted along these yet.
     pub fn coarsely_free(&self) -> usize {
         self.coarse
     }
@@ -180,7 +180,7 @@ pub fn hold(
     Linear::new(&[(variable, pose.value())], RootShift::None, rows, zero)
 }
 
-/// How many directions are not even known to [`COARSE`].
+/// The number of directions that are not even known to [`COARSE`].
 fn coarsely_free(information: &MotionInformation) -> usize {
     let scale = DMatrix::from_diagonal(&scales(information.root.ncols() == 3));
     let values = (&information.root * scale).singular_values();
@@ -192,4 +192,126 @@ pub(crate) fn scales(planar: bool) -> DVector<f64> {
     let ((length, angle), lengths, dim) =
         (COARSE, if planar { 2 } else { 3 }, if planar { 3 } else { 6 });
     DVector::from_fn(dim, |i, _| if i < lengths { length } else { angle })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use evergraph_factors::{Depth, GpsPosition2, Heading2, Prior};
+    use evergraph_model::{Graph, Key, LieGroup, Noise, Point2, Point3, Pose2, Pose3, Rot3};
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::rigid::{Body, End};
+
+    fn pose(change: &mut evergraph_model::Change, at: &Pose2) -> Key<Pose2> {
+        change.add_variable(at)
+    }
+
+    /// Poses of the plane with a position of each, of `sigma`, and a heading of the first of `heading`.
+    fn plane(poses: &[Pose2], sigma: f64, heading: Option<f64>) -> Body {
+        let mut change = Graph::new().change();
+        let mut body = Body::new(&Geometry::Pose2(poses[0]));
+        for at in poses {
+            let key = pose(&mut change, at);
+            let noise = Noise::isotropic(2, sigma).unwrap();
+            let gps = GpsPosition2::new(key, Point2::new(at.x(), at.y()), noise).unwrap();
+            assert!(body.tie(Arc::new(gps), |_| Some(End::Moving(Geometry::Pose2(*at)))));
+        }
+        if let Some(sigma) = heading {
+            let key = pose(&mut change, &poses[0]);
+            let compass = Heading2::new(key, 0.1, Noise::isotropic(1, sigma).unwrap()).unwrap();
+            body.tie(Arc::new(compass), |_| Some(End::Moving(Geometry::Pose2(poses[0]))));
+        }
+        body
+    }
+
+    #[test]
+    fn rank_does_not_depend_on_weights_units_or_places() {
+        for far in [0.0, 1e3, 5e6] {
+            for sigma in [1e-4, 1.0, 1e4] {
+                let first = Pose2::new(far, -far, 0.3);
+                let second = Pose2::new(far + 3.0, 4.0 - far, 1.0);
+                assert_eq!(plane(&[first], sigma, None).gauge().free(), 1, "{far} {sigma}");
+                // A robot that stands still does not show where it looks.
+                assert_eq!(plane(&[first; 9], sigma, None).gauge().free(), 1, "{far} {sigma}");
+                assert_eq!(plane(&[first, second], sigma, None).gauge().free(), 0, "{far} {sigma}");
+                for heading in [1e-3, 3.0, 30.0] {
+                    let held = plane(&[first], sigma, Some(heading)).gauge();
+                    assert_eq!(held.free(), 0, "{far} {sigma} {heading}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn weakly_known_directions_are_coarse_and_not_free() {
+        let poses = [Pose2::identity(), Pose2::new(1e-3, 0.0, 0.0)];
+        let gauge = plane(&poses, 1.0, None).gauge();
+        assert_eq!((gauge.free(), gauge.coarsely_free()), (0, 1));
+        let gauge = plane(&poses[..1], 1.0, Some(0.6)).gauge();
+        assert_eq!((gauge.free(), gauge.coarsely_free()), (0, 1));
+        assert_eq!(plane(&poses[..1], 1.0, Some(0.1)).gauge().coarsely_free(), 0);
+    }
+
+    /// Positions far from the body's center and close to each other hold its heading, if barely.
+    #[test]
+    fn a_direction_that_others_nearly_hide_is_not_free() {
+        let center = Pose2::identity();
+        let mut change = Graph::new().change();
+        let mut body = Body::new(&Geometry::Pose2(center));
+        for x in [100.0, 100.0 + 1e-4] {
+            let at = Pose2::new(x, 0.0, 0.0);
+            let key = pose(&mut change, &at);
+            let noise = Noise::isotropic(2, 0.01).unwrap();
+            let gps = GpsPosition2::new(key, Point2::new(x, 0.0), noise).unwrap();
+            body.tie(Arc::new(gps), |_| Some(End::Moving(Geometry::Pose2(at))));
+        }
+        assert_eq!(body.gauge().free(), 0);
+    }
+
+    /// Depths hold height and tilt. The parts of their rows along x and y cancel to rounding only.
+    #[test]
+    fn rounding_of_rotations_informs_nothing() {
+        for k in 0..40 {
+            let k = f64::from(k);
+            let turn = Rot3::exp(&Vector3::new(0.3 * k, 1.1 - 0.2 * k, 0.7 * k));
+            let base = Pose3::new(turn, Point3::new(1e4 * k, 3.0, -7.0 * k));
+            let arms = [[0.0; 3], [2.0, 0.3, 0.1], [-0.4, 1.7, 0.9], [1.0, 1.0, -1.0]];
+            let mut change = Graph::new().change();
+            let mut body = Body::new(&Geometry::Pose3(base));
+            for [x, y, z] in arms {
+                let at = base.compose(&Pose3::new(turn, Point3::new(x, y, z)));
+                let key = change.add_variable(&at);
+                let depth = Depth::new(key, at.z(), Noise::isotropic(1, 0.1).unwrap()).unwrap();
+                body.tie(Arc::new(depth), |_| Some(End::Moving(Geometry::Pose3(at))));
+            }
+            assert_eq!(body.gauge().free(), 3, "{k}");
+        }
+    }
+
+    #[test]
+    fn information_adds_up() {
+        let at = Pose2::new(3.0, 4.0, 0.5);
+        let mut change = Graph::new().change();
+        let key = pose(&mut change, &at);
+        let noise = Noise::from_sigmas(&[0.5, 0.25, 0.1]).unwrap();
+        let prior = Arc::new(Prior::new(key, at, noise).unwrap());
+        let body = |count: usize| {
+            let mut body = Body::new(&Geometry::Pose2(at));
+            for _ in 0..count {
+                body.tie(prior.clone(), |_| Some(End::Moving(Geometry::Pose2(at))));
+            }
+            body.information()
+        };
+        let mut sum = body(1);
+        sum.merge(&body(2));
+        assert!((sum.matrix() - body(3).matrix()).norm() < 1e-9 * sum.matrix().norm());
+        assert!((sum.matrix()[(2, 2)] - 300.0).abs() < 1e-9);
+        let before = sum.clone();
+        sum.merge(&MotionInformation::none(false));
+        assert_eq!(sum, before);
+        assert_eq!(Gauge::of(&MotionInformation::none(false)).free(), 6);
+    }
 }

@@ -14,7 +14,7 @@ use crate::hint::Hint;
 use crate::minimize::{Quadratic, minimize};
 use crate::rigid::sample;
 
-/// How sure a position of a landmark has to be.
+/// The certainty that the position of a landmark needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Certainty {
@@ -22,7 +22,7 @@ pub enum Certainty {
     /// over a larger region bearings and ranges are too far from linear. No other position fits within a
     /// chi2 of 9. For a landmark that more measurements may come for.
     Sure,
-    /// The same with 1 of the distance, and a chi2 of 1: for a landmark of which all measurements are there.
+    /// The same with 0.5 of the distance, and a chi2 of 1: for a landmark of which all measurements are there.
     Likely,
 }
 
@@ -31,11 +31,11 @@ impl Certainty {
     fn parallax(self) -> f64 {
         match self {
             Self::Sure => 0.3,
-            Self::Likely => 1.0,
+            Self::Likely => 0.5,
         }
     }
 
-    /// How much better, in chi2, a position has to fit than any other.
+    /// The margin, in chi2, by which a position has to fit better than any other.
     fn margin(self) -> f64 {
         match self {
             Self::Sure => 9.0,

@@ -234,13 +234,13 @@ impl Body {
             if *moves {
                 let by_value = linearized.jacobian(position);
                 let by_motion = by_value * place.by_world_motion(&center);
-                let translations = self.dim() / 3;
+                let lengths = if self.planar { 2 } else { 3 };
+                let moved = by_value.columns(0, lengths).norm();
+                let turned = by_value.columns(lengths, by_value.ncols() - lengths).norm();
+                // The lever arm of a turn is a difference of positions.
                 let far = place.position().norm() + center.norm();
-                for (k, column) in by_motion.column_iter().enumerate() {
-                    // The lever arm of a turn is a difference of positions.
-                    let turn = if k > translations { far * by_value.norm() } else { 0.0 };
-                    size[k] += column.norm() + turn;
-                }
+                size.rows_mut(0, lengths).add_scalar_mut(moved);
+                size.rows_mut(lengths, self.dim() - lengths).add_scalar_mut(turned + far * moved);
                 jacobian += by_motion;
             }
         }

@@ -98,11 +98,6 @@ impl<D> Live<'_, D> {
         node: VariableId,
         loss: Option<Loss>,
     ) -> Result<Option<Vec<VariableId>>, ThinningFailure> {
-        if is_alone(self.smoother.graph(), node) && !self.alone.contains(&node) {
-            let last = RemovalError::NoBlanket { variable: node };
-            self.thinning.kept.push((node, Needed::Planned(last)));
-            return Ok(None);
-        }
         let loss = match loss {
             None if self.rules.prices => {
                 let mut covariances = self.smoother.covariances();
@@ -124,6 +119,12 @@ impl<D> Live<'_, D> {
         };
         let step = plan.steps().first();
         let touched = step.map_or_else(Vec::new, |step| step.blanket.clone());
+        let is_last = touched.is_empty() && is_alone(self.smoother.graph(), node);
+        if is_last && !self.alone.contains(&node) {
+            let last = RemovalError::NoBlanket { variable: node };
+            self.thinning.kept.push((node, Needed::Planned(last)));
+            return Ok(None);
+        }
         let thinned = Thinned {
             variable: node,
             blanket: touched.len(),
@@ -171,7 +172,7 @@ fn loss(
     }
 }
 
-/// Whether a node of the graph shares no factor with others.
+/// True if a node of the graph shares no factor with others.
 fn is_alone(graph: &Graph, node: VariableId) -> bool {
     degree(graph, node).is_ok_and(|degree| degree == 0)
 }

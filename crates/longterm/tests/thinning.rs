@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use evergraph_factors::{BetweenPose2, Prior, RelativePosition2};
-use evergraph_longterm::{Rules, Thinned, Thinning, ThinningFailure};
+use evergraph_longterm::{Needed, Rules, Thinned, Thinning, ThinningFailure};
 use evergraph_model::{GraphError, Key, LieGroup, Noise, Point2, Pose2, VariableId};
 use evergraph_removal::{Options, Order, Recovery, RemovalError};
 use evergraph_solver::{BatchSettings, Settings, Smoother};
@@ -152,4 +152,33 @@ fn a_limit_leaves_the_rest_to_the_order() {
         assert!(least < at_most(Order::Random(seed), 12), "{least}");
     }
     assert_eq!(at_most(Order::Given, 0), 0.0);
+}
+
+/// A component keeps one of its nodes; a pose that shared no factor from the beginning has none to keep.
+#[test]
+fn the_last_node_of_a_component_stays() {
+    let (mut smoother, _) = world(1);
+    let noise = Noise::isotropic(3, 0.1).unwrap();
+    let mut change = smoother.change();
+    let at = |k: usize| Pose2::new(k as f64, 50.0, 0.0);
+    let island: Vec<_> = (0..3).map(|k| change.add_variable(&at(k))).collect();
+    for (k, pose) in island.iter().enumerate() {
+        change.add_factor(Prior::new(*pose, at(k), noise.clone()).unwrap());
+    }
+    for k in 1..3 {
+        let z = at(k - 1).between(&at(k));
+        change.add_factor(BetweenPose2::new(island[k - 1], island[k], z, noise.clone()).unwrap());
+    }
+    let lonely = change.add_variable(&at(90));
+    change.add_factor(Prior::new(lonely, at(90), noise).unwrap());
+    smoother.apply(change).unwrap();
+    let nodes: Vec<VariableId> = island.iter().chain([&lonely]).map(|key| key.id()).collect();
+    let rules = Rules::default().with_order(Order::Given);
+    let thinning = Thinning::run(&mut smoother, &nodes, &rules, || ()).unwrap();
+    let removed: Vec<VariableId> = thinning.removed.iter().map(|it| it.variable).collect();
+    assert_eq!(removed, [nodes[0], nodes[1], nodes[3]]);
+    let [(kept, Needed::Planned(RemovalError::NoBlanket { variable }))] = &thinning.kept[..] else {
+        panic!("{:?}", thinning.kept)
+    };
+    assert_eq!((*kept, *variable), (nodes[2], nodes[2]));
 }

@@ -32,12 +32,12 @@ pub fn call<R>(code: impl FnOnce() -> R) -> Result<R, String> {
 
 /// [`call`], with the error of a factor.
 pub(crate) fn guarded_factor<R>(
-    id: impl FnOnce() -> FactorId,
+    id: FactorId,
     factor: &dyn Factor,
     call: impl FnOnce() -> R,
 ) -> Result<R, GraphError> {
     self::call(call).map_err(|message| GraphError::FactorPanicked {
-        factor: id(),
+        factor: id,
         name: name_of(factor),
         message,
     })
@@ -45,12 +45,12 @@ pub(crate) fn guarded_factor<R>(
 
 /// [`call`], with the error of a variable.
 pub(crate) fn guarded_variable<R>(
-    variable: impl FnOnce() -> VariableId,
+    variable: VariableId,
     kind: &VariableType,
     call: impl FnOnce() -> R,
 ) -> Result<R, GraphError> {
     self::call(call).map_err(|message| GraphError::VariablePanicked {
-        variable: variable(),
+        variable,
         kind: kind.name(),
         message,
     })

@@ -214,7 +214,7 @@ impl<'a> Overlay<'a> {
         false
     }
 
-    /// Whether no factor of the graph ties a variable to another: nothing of others is lost with it.
+    /// True if no factor of the graph ties a variable to another: nothing of others is lost with it.
     pub(crate) fn is_alone(&self, variable: VariableId) -> bool {
         let mut factors = self.graph.factors_at(self.index(variable)).iter();
         factors.all(|&factor| self.graph.factor_at(factor).keys().iter().all(|k| *k == variable))

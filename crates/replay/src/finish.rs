@@ -4,15 +4,12 @@ use std::collections::HashMap;
 
 use evergraph_formats::Document;
 use evergraph_model::Value;
-use evergraph_solver::{BatchReport, BatchSettings, Method, Smoother, SmootherError, Status};
+use evergraph_solver::{BatchReport, BatchSettings, Smoother, SmootherError, damped_then_dogleg};
 use serde::Serialize;
 
 use crate::chordal::chordal;
 use crate::error::ReplayerError;
 use crate::replayer::Replayer;
-
-/// Linearizations by dogleg where Levenberg-Marquardt has not converged.
-const DOGLEG_ITERATIONS: u32 = 1000;
 
 /// A batch optimization from two starts.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -22,7 +19,7 @@ pub struct Compared {
     pub from_estimate: BatchReport,
     /// From the chordal start.
     pub from_chordal: BatchReport,
-    /// Whether the optimum from the chordal start is lower, and was taken.
+    /// True if the minimum from the chordal start is lower, and was taken.
     pub took_chordal: bool,
 }
 
@@ -79,21 +76,7 @@ impl Replayer {
     }
 }
 
-/// Optimizes by Levenberg-Marquardt, then, if that has not converged, by dogleg.
+/// [`damped_then_dogleg`] as precisely as [`Smoother::optimize`] is by default.
 fn optimum(smoother: &mut Smoother) -> Result<BatchReport, SmootherError> {
-    let damped = smoother.optimize(&BatchSettings::default())?;
-    if damped.status == Status::Converged {
-        return Ok(damped);
-    }
-    let settings =
-        BatchSettings::default().with_method(Method::Dogleg).with_max_iterations(DOGLEG_ITERATIONS);
-    let mut both = match smoother.optimize(&settings) {
-        Ok(dogleg) => dogleg,
-        // The end of the first method is a result all the same.
-        Err(SmootherError::Singular(_) | SmootherError::NonFinite { .. }) => return Ok(damped),
-        Err(error) => return Err(error),
-    };
-    both.initial_error = damped.initial_error;
-    both.iterations += damped.iterations;
-    Ok(both)
+    damped_then_dogleg(smoother, BatchSettings::default().relative_decrease)
 }

@@ -38,6 +38,7 @@
 #![deny(missing_docs)]
 
 mod audit;
+mod bodies;
 mod chordal;
 mod components;
 mod emit;
@@ -54,6 +55,7 @@ mod observation;
 mod options;
 mod order;
 mod overview;
+mod recorded;
 mod reduced;
 mod replayer;
 mod state;

@@ -171,9 +171,9 @@ impl Observed {
     }
 }
 
-/// Whether a measurement informs all directions of what it measures: a sighting that does not leaves its
-/// landmark undetermined, as a bearing does.
-fn has_full_rank(noise: &Noise) -> bool {
+/// True if a measurement informs all of its directions. A sighting that does not leaves its landmark
+/// undetermined, as a bearing does.
+pub(crate) fn has_full_rank(noise: &Noise) -> bool {
     let eigenvalues = noise.information().symmetric_eigenvalues();
     eigenvalues.min() > 1e-12 * eigenvalues.max()
 }

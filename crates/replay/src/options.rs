@@ -115,7 +115,7 @@ pub struct GaugePrior {
     /// How many directions of the pose it holds: all, or those that absolute measurements leave
     /// free.
     pub directions: usize,
-    /// Whether the pose is part of a component that is held elsewhere, and no measurement informs these
+    /// True if the pose is part of a component that is held elsewhere, and no measurement informs these
     /// directions of it: the heading of a robot that only ranges see, and that does not move.
     pub weak: bool,
 }

@@ -10,6 +10,7 @@ use crate::error::ReplayerError;
 use crate::geometry::{Handle, origin, slot};
 use crate::options::{Order, ReplayOptions, Step};
 use crate::order::{self, Node};
+use crate::recorded;
 use crate::state::Replay;
 
 impl Replay {
@@ -63,7 +64,7 @@ impl Replay {
         };
         replay.gather(document)?;
         let has_order = document.dialect() != Dialect::G2o;
-        replay.recorded = order::order_of(&replay.links, &replay.nodes, has_order);
+        replay.recorded = recorded::order_of(&replay.links, &replay.nodes, has_order);
         replay.component = order::components(count, &replay.links);
         replay.steps =
             order::plan(&replay.nodes, &replay.links, &replay.fixed, replay.recorded.into());

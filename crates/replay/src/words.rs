@@ -31,7 +31,7 @@ pub(crate) fn explain(error: &SmootherError, id: &dyn Fn(VariableId) -> Option<u
         ),
         SmootherError::LargeClique { scalars, largest } => format!(
             "the update would eliminate a clique of {scalars} scalars, more than {largest}: too many loop \
-             closures tie distant poses together, and every further step would take seconds. Look for wrong \
+             closures tie distant poses together, and further steps would take longer still. Look for wrong \
              closures, solve the file at once with `evergraph optimize`, or raise --largest-clique"
         ),
         other => other.to_string(),

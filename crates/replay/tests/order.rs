@@ -61,7 +61,8 @@ fn error_of(graph: &Graph, values: &HashMap<VariableId, Value>, factor: FactorId
 fn check_order(document: &Document, run: &Run, what: &str) {
     let summary = document.summary();
     let factors: usize = run.steps.iter().map(|step| step.factors).sum();
-    assert_eq!(factors, summary.pose_edges + summary.landmark_edges, "{what}");
+    let all = summary.pose_edges + summary.landmark_edges + summary.measurements;
+    assert_eq!(factors, all, "{what}");
     assert_eq!(run.replay.factors().len(), factors, "{what}");
     let variables: usize = run.steps.iter().map(|step| step.variables).sum();
     assert_eq!(
@@ -82,6 +83,9 @@ fn check_order(document: &Document, run: &Run, what: &str) {
         {
             tied[arrival[from].max(arrival[to])] = true;
         }
+    }
+    for (id, _) in run.replay.fixed().filter(|(id, _)| arrival.contains_key(id)) {
+        tied[arrival[&id]] = true;
     }
     let roots = tied.iter().filter(|tied| !**tied).count();
     assert_eq!(roots, run.replay.gauge_priors().len(), "{what}: one gauge prior for each part");

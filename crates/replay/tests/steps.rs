@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 use evergraph_formats::{Dialect, Document, ReadOptions};
 use evergraph_model::{Graph, Kernel, Pose2, Value};
-use evergraph_replay::{Initial, Replay, ReplayOptions, ReplayerError};
+use evergraph_replay::{Initial, Order, Replay, ReplayOptions, ReplayerError, StepKind};
 
 fn parse(text: &str) -> Document {
     Document::parse("text", text.as_bytes(), &ReadOptions::default()).unwrap()
@@ -163,4 +163,55 @@ fn edges_alone_get_the_vertices_of_a_replay() {
 fn clipped_matrices_are_noise() {
     let text = "EDGE_SE2 0 1 1 0 0 3.33333 6.66667 10 13.3333 20 30\n";
     Replay::new(&parse(text), &ReplayOptions::default()).unwrap();
+}
+
+/// Five poses in a row and two closures, in TORO's lines.
+fn row_with_closures(closures_last: bool) -> String {
+    let edge = |i: u64, j: u64| format!("EDGE2 {i} {j} {} 0 0 1 0 1 1 0 0\n", j as i64 - i as i64);
+    let vertices: String = (0..5).map(|k| format!("VERTEX2 {k} {k} 0 0\n")).collect();
+    let rows = [(0, 1), (1, 2), (0, 2), (2, 3), (1, 3), (3, 4)];
+    let is_closure = |(i, j): &(u64, u64)| j - i > 1;
+    let mut order: Vec<(u64, u64)> = rows.to_vec();
+    if closures_last {
+        order.sort_by_key(is_closure);
+    }
+    vertices + &order.into_iter().map(|(i, j)| edge(i, j)).collect::<String>()
+}
+
+#[test]
+fn closures_behind_the_odometry_arrive_with_their_poses() {
+    let kinds = |text: &str| {
+        let mut replay = Replay::new(&parse(text), &ReplayOptions::default()).unwrap();
+        let (mut graph, mut values) = (Graph::new(), HashMap::new());
+        let mut kinds = Vec::new();
+        loop {
+            let mut change = graph.change();
+            let step = replay.next_step(&mut change, &mut |id| values.get(&id).cloned());
+            let Some(step) = step else { break };
+            kinds.push(step.unwrap().kind);
+            values.extend(change.new_variables().iter().cloned());
+            let staged = graph.stage(&change).unwrap();
+            graph.commit(staged);
+        }
+        (replay.order(), kinds)
+    };
+    use StepKind::{Explore, Loop};
+    let expected = vec![Explore, Explore, Loop, Loop, Explore];
+    assert_eq!(kinds(&row_with_closures(false)), (Order::Lines, expected.clone()));
+    assert_eq!(kinds(&row_with_closures(true)), (Order::IdsForLateEdges, expected.clone()));
+    // g2o has no order.
+    let g2o = row_with_closures(true).replace("VERTEX2", "VERTEX_SE2").replace("EDGE2", "EDGE_SE2");
+    let g2o = g2o.replace("1 0 1 1 0 0\n", "1 0 0 1 0 1\n");
+    assert_eq!(kinds(&g2o), (Order::Ids, expected));
+}
+
+#[test]
+fn sightings_behind_the_odometry_do_too() {
+    let mut text = row_with_closures(false).replace("EDGE2 0 2 2 0 0 1 0 1 1 0 0\n", "");
+    text = text.replace("EDGE2 1 3 2 0 0 1 0 1 1 0 0\n", "");
+    for pose in 0..5 {
+        text += &format!("BR {pose} 9 0.5 {} 0.1 0.1\n", 5.0 - f64::from(pose) * 0.5);
+    }
+    let replay = Replay::new(&parse(&text), &ReplayOptions::default()).unwrap();
+    assert_eq!(replay.order(), Order::IdsForLateEdges);
 }

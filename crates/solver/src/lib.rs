@@ -92,7 +92,7 @@ pub use error::{FreeVariable, Singular, SmootherError};
 pub use estimate_cache::Estimates;
 pub use factor_query::FactorLinearization;
 pub use inspect::LinearSystem;
-pub use optimum::optimize_to_the_end;
+pub use optimum::{damped_then_dogleg, optimize_to_the_end};
 pub use profile::{Phase, Profile};
 pub use report::{FactorizationSize, Report};
 pub use settings::{Elimination, Fluid, Relinearization, Settings, SettingsError};

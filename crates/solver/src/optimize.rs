@@ -117,12 +117,12 @@ impl Factorization {
         let may_damp = settings.method == Method::LevenbergMarquardt;
         let mut error = initial_error;
         let mut damping = 0.0;
-        // What a full step that fails is damped with. Long trajectories bend so easily that 1e-7 holds
+        // The damping after a full step that fails. Long trajectories bend so easily that 1e-7 holds
         // them fast: where it is enough and full steps still fail, less is tried.
         let mut first = FIRST_DAMPING;
         let more =
             |damping: f64, first| if damping == 0.0 { first } else { damping * DAMPING_FACTOR };
-        // Whether less damping has failed at the current points, beginning with `first`.
+        // True if less damping has failed at the current points, beginning with `first`.
         let mut less_failed = false;
         let mut iterations = 0;
         // Whether the tree is the factorization at the current points with the current damping.
@@ -225,8 +225,6 @@ impl Factorization {
             let steepest = steepest_descent(&self.graph, &self.blocks, &gradient, &scale);
             let newton_length = scaled_norm(&newton, &scale);
             let negligible = self.negligible(settings, error);
-            let promised_by_newton = decrease_of_model(&self.graph, &self.blocks, &newton);
-            let told = rounding_of_error(&self.graph, &self.blocks, &self.points, error);
             loop {
                 let delta = within_radius(&newton, &steepest, &scale, radius);
                 let promised = decrease_of_model(&self.graph, &self.blocks, &delta);
@@ -234,15 +232,19 @@ impl Factorization {
                 let still = is_still(&self.points, &trial);
                 let full = radius >= newton_length;
                 let decrease = error - trial_error;
-                // A shorter step that no error can tell from none: neither can those that follow.
-                if !full && (still || (promised <= told && decrease <= told)) {
-                    break 'outer match promised_by_newton <= negligible.max(NEARLY * told) {
-                        true => Status::Converged,
-                        false => Status::NotConverged(Reason::NoDescent),
-                    };
+                if !full {
+                    // A shorter step that no error can tell from none: neither can those that follow.
+                    let told = rounding_of_error(&self.graph, &self.blocks, &self.points, error);
+                    if still || (promised <= told && decrease <= told) {
+                        let promised = decrease_of_model(&self.graph, &self.blocks, &newton);
+                        break 'outer match promised <= negligible.max(NEARLY * told) {
+                            true => Status::Converged,
+                            false => Status::NotConverged(Reason::NoDescent),
+                        };
+                    }
                 }
-                // Written so that NaN is a failure. A shorter step must gain something.
-                if trial_error.is_finite() && (decrease > 0.0 || (full && decrease >= 0.0)) {
+                // Written so that NaN is a failure.
+                if trial_error.is_finite() && trial_error <= error {
                     let length = scaled_norm(&delta, &scale);
                     let gain = decrease / promised;
                     if gain > 0.75 {

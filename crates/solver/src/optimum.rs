@@ -13,18 +13,27 @@ const DOGLEG: u32 = 1000;
 
 /// Optimizes until no step lowers the error by more than rounding, so that what moved is told from where
 /// an optimization stopped: the usual 1e-11 of the error can be 1e-4 m of something that is known to a
-/// metre. By Levenberg-Marquardt, and where that has not converged after 100 linearizations by dogleg.
+/// metre. As [`damped_then_dogleg`].
+///
+/// # Errors
+/// [`SmootherError`] as [`Smoother::optimize`]; everything is then what it was before.
+pub fn optimize_to_the_end(smoother: &mut Smoother) -> Result<BatchReport, SmootherError> {
+    damped_then_dogleg(smoother, 0.0)
+}
+
+/// Optimizes by Levenberg-Marquardt, and where that has not converged after 100 linearizations by dogleg, until
+/// a step lowers the error by no more than `relative_decrease` of it ([`BatchSettings::relative_decrease`]).
 ///
 /// The report is of both together.
 ///
 /// # Errors
 /// [`SmootherError`] as [`Smoother::optimize`]; everything is then what it was before.
-pub fn optimize_to_the_end(smoother: &mut Smoother) -> Result<BatchReport, SmootherError> {
-    let damped = BatchSettings {
-        relative_decrease: 0.0,
-        max_iterations: DAMPED,
-        ..BatchSettings::default()
-    };
+pub fn damped_then_dogleg(
+    smoother: &mut Smoother,
+    relative_decrease: f64,
+) -> Result<BatchReport, SmootherError> {
+    let damped =
+        BatchSettings { relative_decrease, max_iterations: DAMPED, ..BatchSettings::default() };
     let first = smoother.optimize(&damped)?;
     if first.status == Status::Converged {
         return Ok(first);

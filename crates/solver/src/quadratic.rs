@@ -86,8 +86,8 @@ pub(crate) fn decrease_of_model(graph: &Graph, blocks: &Blocks, delta: &[f64]) -
     -mixed - 0.5 * squared
 }
 
-/// How far the error at `points` may be off: the numbers of the points are rounded, far from the origin
-/// by much, and so are residuals and their squares.
+/// The amount by which the error at `points` may be off: the numbers of the points are rounded, far from
+/// the origin by much, and so are residuals and their squares.
 pub(crate) fn rounding_of_error(graph: &Graph, blocks: &Blocks, points: &[f64], error: f64) -> f64 {
     let mut squares = error * error;
     for f in graph.factor_indices() {

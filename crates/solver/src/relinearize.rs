@@ -86,8 +86,8 @@ impl Smoother {
         }
     }
 
-    /// How far the newest variable has moved since the last check, or since it came in. It stands in the
-    /// root, so this costs next to nothing.
+    /// The distance that the newest variable has moved since the last check, or since it was added. It stands
+    /// in the root, so this costs next to nothing.
     fn jump(&mut self) -> f64 {
         let Factorization { graph, tree, solution, newest, .. } = &mut self.factorization;
         let instructions = self.engine.instructions;

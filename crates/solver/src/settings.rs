@@ -207,7 +207,7 @@ pub struct Settings {
     /// Most scalars of a clique (frontals and separator) that an update may eliminate; a larger one is
     /// refused with [`SmootherError::LargeClique`](crate::SmootherError::LargeClique). A clique of n scalars
     /// takes n² numbers and at most n³/3 multiplications in each update that touches it: with 2000, 32 MB and
-    /// about a second. Loop closures between random places make such cliques. Batch optimizations are not
+    /// 0.4 s. Loop closures between random places make such cliques. Batch optimizations are not
     /// bounded. Default: no bound.
     pub largest_clique: Option<usize>,
 }

@@ -267,8 +267,8 @@ impl State {
         self.changed[variable.index()] = (self.clock, self.clock);
     }
 
-    /// How far a variable that stands in a root has moved since the last refresh; 0 for another. Allocates
-    /// nothing. O(dim · root).
+    /// The distance that a variable in a root has moved since the last refresh; 0 for another variable.
+    /// Allocates nothing. O(dim · root).
     pub(crate) fn jump(
         &mut self,
         instructions: Instructions,

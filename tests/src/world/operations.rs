@@ -112,7 +112,8 @@ impl World {
             .with_threads(threads)
             .with_relinearization(
                 Relinearization::NEVER
-                    .with_fluid(Some(Fluid::new(0.01, 0.4, every(3))))
+                    .with_fluid(Some(Fluid::new(0.2, 0.4, every(5)))) // at once
+                    .with_sweep(Some(Fluid::new(0.01, 0.4, every(3)))) // in slices
                     .with_spread(every(4))
                     .with_batch(Some(every(23))),
             );

@@ -11,7 +11,8 @@ use serde_json::{Value, json};
 use crate::error::Error;
 use crate::files;
 use crate::nodes::Choice;
-use crate::options::{Common, Policy, Reading, Solving, StartFrom};
+use crate::options::{Common, Policy, Solving, StartFrom};
+use crate::reading::Reading;
 
 const EXAMPLES: &str = "\
 Examples:

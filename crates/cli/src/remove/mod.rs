@@ -20,9 +20,9 @@ use crate::nodes::Candidates;
 use crate::options::StartFrom;
 use crate::progress::Progress;
 use crate::reduction::{self, Reduction, gauge_factors, incomparable, warn_of_ends};
-use crate::replay::warn_of_landmarks;
 use crate::report::{self, SCHEMA};
 use crate::table::{Rows, milliseconds};
+use crate::warnings::warn_of_landmarks;
 
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let begun = Instant::now();

@@ -118,6 +118,11 @@ impl Folder {
     }
 }
 
+/// The path of a small graph with a known answer.
+pub fn case(name: &str) -> String {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/cases").join(name).display().to_string()
+}
+
 /// A file of the samples folder.
 pub fn sample(name: &str) -> String {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data");

@@ -191,7 +191,7 @@ impl Trajectory {
         self.times.as_deref()
     }
 
-    /// When a pose was: its time, or its id as a number where times are not known. Of ids that are names of
+    /// The time of a pose, or its id as a number where times are not known. Of ids that are names of
     /// one robot (`x12`, GTSAM's keys) the number counts.
     ///
     /// # Panics

@@ -105,13 +105,12 @@ impl Graph {
         delta: &[f64],
         out: &mut [f64],
     ) -> Result<(), GraphError> {
-        let kind = self.kind_at(variable);
-        let id = || self.variable_id(variable);
+        let (id, kind) = (self.variable_id(variable), self.kind_at(variable));
         guarded_variable(id, kind, || kind.retract(point, delta, out))?;
         if out.iter().all(|x| x.is_finite()) {
             Ok(())
         } else {
-            Err(GraphError::NonFiniteRetraction { variable: id(), kind: kind.name() })
+            Err(GraphError::NonFiniteRetraction { variable: id, kind: kind.name() })
         }
     }
 
@@ -127,11 +126,9 @@ impl Graph {
             for (storage, &variable) in storages.iter_mut().zip(&term.variables) {
                 *storage = &values[self.value_range(variable)];
             }
-            guarded_factor(
-                || self.factor_id(index),
-                &*term.factor,
-                || call(&*term.factor, &Arguments::new(storages)),
-            )
+            guarded_factor(self.factor_id(index), &*term.factor, || {
+                call(&*term.factor, &Arguments::new(storages))
+            })
         })
     }
 }

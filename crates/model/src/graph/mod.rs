@@ -94,12 +94,10 @@ struct Partial {
 }
 
 impl Term {
-    #[inline]
     fn unknowns(&self) -> &[VariableIndex] {
         self.partial.as_ref().map_or(&self.variables, |partial| &partial.unknowns)
     }
 
-    #[inline]
     fn columns(&self) -> &[u32] {
         self.partial.as_ref().map_or(&self.columns, |partial| &partial.columns)
     }

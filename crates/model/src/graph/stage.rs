@@ -483,7 +483,7 @@ impl Graph {
             problem,
         };
         let (keys, rows) =
-            guarded_factor(|| id, &**factor, || (factor.keys(), factor.residual_dim()))?;
+            guarded_factor(id, &**factor, || (factor.keys(), factor.residual_dim()))?;
         if keys.is_empty() || rows == 0 {
             return Err(malformed("has no variables or no residual".into()));
         }
@@ -499,7 +499,7 @@ impl Graph {
                 )));
             }
             let (kind, dim) = (self.kind_at(index), self.dim_at(index));
-            if !guarded_factor(|| id, &**factor, || factor.accepts(position, kind, dim))? {
+            if !guarded_factor(id, &**factor, || factor.accepts(position, kind, dim))? {
                 return Err(GraphError::NotAccepted {
                     factor: id,
                     name: name_of(&**factor),

@@ -102,7 +102,6 @@ impl Marks {
         }
     }
 
-    #[inline]
     fn climb(&mut self, tree: &Tree, mut clique: CliqueIndex, mut position: u32, mark: Mark) {
         loop {
             let slot = clique.index();
@@ -140,7 +139,6 @@ fn position_of(tree: &Tree, clique: CliqueIndex, variable: VariableIndex) -> u32
 }
 
 /// Position, among the frontals of a clique, of the first that is in a child's separator.
-#[inline]
 pub(super) fn first_of_child(tree: &Tree, clique: CliqueIndex, child: CliqueIndex) -> u32 {
     let frontals = &tree.clique(clique).structure.frontals;
     if frontals.len() == 1 {
