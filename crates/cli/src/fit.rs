@@ -2,76 +2,87 @@
 
 use std::fmt::Display;
 
-use evergraph::evaluate::{Fit, Verdict};
+use evergraph::evaluate::{Fit, Verdict, WorstFactor};
 
 use crate::error::Error;
 use crate::output::Output;
 use crate::table::{Columns, Rows, short};
 
 /// Ids of a factor on many variables fill a line.
-const LONGEST_NAMES: usize = 24;
+const LONGEST_NAMES: usize = 20;
 
-/// Adds the row of chi2 per degree of freedom.
+/// Adds the rows of chi2 per degree of freedom and of the worst edge.
 pub(crate) fn show(fit: &Fit, rows: &mut Rows) {
-    let dof = fit.degrees_of_freedom;
-    let Some((ratio, [low, high])) = fit.chi2_per_dof.zip(fit.expected_95) else {
-        return rows.add("chi2 per dof", "no degrees of freedom: any map fits");
-    };
-    let verdict = match fit.verdict {
-        Verdict::Poor => "poor fit",
-        Verdict::BetterThanExpected => "better than the weights say",
-        _ => "as expected",
-    };
-    let range = format!("95 %: {} to {}", short(low), short(high));
-    rows.add("chi2 per dof", format!("{} of {dof}, {verdict} ({range})", short(ratio)));
+    rows.add("degrees of freedom", fit.degrees_of_freedom);
+    match fit.chi2_per_dof.zip(fit.expected_95) {
+        None => rows.add("chi2 per dof", "none: without degrees of freedom any map fits"),
+        Some((ratio, [low, high])) => {
+            let verdict = match fit.verdict {
+                Verdict::Poor => "poor fit",
+                Verdict::BetterThanExpected => {
+                    "below: sigmas are larger than the noise, covariances are overstated"
+                }
+                _ => "as expected",
+            };
+            let range = format!("{} to {} (95 %)", short(low), short(high));
+            rows.add("chi2 per dof", format!("{}, expected {range}: {verdict}", short(ratio)));
+        }
+    }
+    if let Some(worst) = fit.worst.first() {
+        let residual = short(worst.normalized_residual);
+        rows.add("worst edge", format!("{residual} sigma, line {} ({})", worst.line, names(worst)));
+    }
 }
 
-/// The edges that contradict the map, and the kinds: with `--verbose`, or when the fit is poor.
+/// The edges that contradict the map, with `--verbose` or when the fit is poor, and the kinds.
 pub(crate) fn tell(fit: &Fit, verbose: bool, output: Output) -> Result<(), Error> {
     let poor = fit.verdict == Verdict::Poor;
     if poor {
         output.result(&sentence(fit))?;
     }
     if (poor || verbose) && !fit.worst.is_empty() {
+        output.result(&"Largest normalized residuals (standard deviations, before kernels):")?;
         output.result(&worst(fit))?;
-    }
-    if verbose && !fit.kinds.is_empty() {
         output.result(&kinds(fit))?;
     }
     Ok(())
 }
 
 fn sentence(fit: &Fit) -> String {
-    let [_, high] = fit.expected_95.unwrap_or_default();
+    let [low, high] = fit.expected_95.unwrap_or_default();
     let ratio = fit.chi2_per_dof.unwrap_or(f64::NAN);
     format!(
-        "Poor fit: chi2 per degree of freedom is {}, and right weights give {} at most.\n\
-         Either edges are wrong, or sigmas are too small, or this is not the best minimum.\n\
-         The edges that the map contradicts most, in standard deviations (before kernels):",
+        "Poor fit: chi2 per degree of freedom is {}; right weights give {} to {}.\n\
+         Either edges are wrong, or sigmas are too small, or this is not the best minimum.",
         short(ratio),
+        short(low),
         short(high)
     )
 }
 
 fn worst(fit: &Fit) -> impl Display {
-    let mut table = Columns::new(["line", "ids", "kind", "normalized residual"]);
+    let mut table = Columns::new(["line", "ids", "kind", "residual"]);
     for it in &fit.worst {
-        let mut names = it.names();
-        if names.chars().count() > LONGEST_NAMES {
-            let some: Vec<&str> = names.split(' ').take(2).collect();
-            names = format!("{} ... ({})", some.join(" "), it.ids.len());
-        }
         let residual = short(it.normalized_residual);
-        table.add([it.line.to_string(), names, it.kind.clone(), residual]);
+        table.add([it.line.to_string(), names(it), it.kind.clone(), residual]);
     }
     table
 }
 
+fn names(factor: &WorstFactor) -> String {
+    let all = factor.names.join(" ");
+    if all.chars().count() <= LONGEST_NAMES || factor.names.len() < 3 {
+        return all;
+    }
+    format!("{} ... ({})", factor.names[0], factor.names.len())
+}
+
 fn kinds(fit: &Fit) -> impl Display {
-    let mut table = Columns::new(["kind", "count", "chi2 per dof", "largest residual"]);
+    let mut table = Columns::new(["kind", "count", "rms", "chi2/dof", "largest"]);
     for (name, kind) in &fit.kinds {
         let ratio = kind.chi2_per_dof.map_or_else(|| "none".into(), short);
-        table.add([name.clone(), kind.count.to_string(), ratio, short(kind.largest)]);
+        let (count, rms) = (kind.count.to_string(), short(kind.rms));
+        table.add([name.clone(), count, rms, ratio, short(kind.largest)]);
     }
     table
 }

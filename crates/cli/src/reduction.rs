@@ -1,6 +1,7 @@
 //! What `remove` and `compare` say of two graphs.
 
 use evergraph::evaluate::{Divergence, DivergenceError, GraphSize};
+use evergraph::formats::Document;
 use evergraph::model::{FactorId, VariableId};
 use evergraph::solver::{BatchReport, Status as BatchStatus};
 use evergraph::{Replayer, Smoother};
@@ -8,6 +9,7 @@ use serde_json::{Map, Value, json};
 
 use crate::error::Error;
 use crate::output::Output;
+use crate::plot::{self, Places, Plot, pictures};
 use crate::report;
 use crate::table::{Rows, number};
 
@@ -56,6 +58,29 @@ impl Reduction {
         ] {
             report.insert(field.into(), value);
         }
+    }
+
+    /// The picture of both graphs at their estimates: the full one with its document, the reduced one.
+    pub(crate) fn plot(
+        &self,
+        command: &str,
+        title: String,
+        (full, smoother, document): (&Replayer, &Smoother, &Document),
+        (reduced, kept): (&Replayer, &Smoother),
+    ) -> Result<Plot, Error> {
+        let map = plot::Map::of(full.replay(), smoother, document);
+        let map = map.map_err(|source| Error::unsolvable(full, source))?;
+        let places = Places::of(reduced.replay(), kept);
+        let places = places.map_err(|source| Error::unsolvable(reduced, source))?;
+        let Self { before, after, divergence } = self;
+        let [rms, total] = [divergence.rms_shift_m, divergence.total].map(number);
+        let (from, to) = (before.variables, after.variables);
+        let subtitle = [
+            format!("evergraph {command}: {from} to {to} variables, KLD {total} nats"),
+            format!("shift {rms} m (rms)"),
+        ];
+        let map = pictures::of_reduction(&map, &places, divergence.max_shift_m);
+        Ok(Plot { title, subtitle, map, times: None })
     }
 
     /// Adds the rows that both subcommands show: sizes, then figures.

@@ -13,9 +13,9 @@ use serde_json::{Map, Value, json};
 use crate::error::Error;
 use crate::files;
 use crate::fit;
-use crate::plot::{self, Plot};
+use crate::plot::{self, Plot, pictures};
 use crate::steps::StepName;
-use crate::table::{CONVENTION, Rows, milliseconds, number};
+use crate::table::{CONVENTION, Rows, milliseconds, number, short};
 
 /// Version of the JSON reports.
 pub(crate) const SCHEMA: u32 = 1;
@@ -281,14 +281,21 @@ impl Report {
     pub(crate) fn plot(
         &self,
         replayer: &Replayer,
+        document: &Document,
         times: Option<Vec<(StepName, f64)>>,
     ) -> Result<Plot, Error> {
         let (error, chi2) = (number(self.error), number(self.chi2));
-        let map = plot::Map::of(replayer).map_err(|source| Error::unsolvable(replayer, source))?;
+        let map = plot::Map::of(replayer.replay(), replayer.smoother(), document);
+        let map = map.map_err(|source| Error::unsolvable(replayer, source))?;
+        let map = pictures::of_fit(&map, &self.fit);
+        let each = self
+            .fit
+            .chi2_per_dof
+            .map_or_else(String::new, |ratio| format!(", {} per degree of freedom", short(ratio)));
         Ok(Plot {
             title: self.dataset.clone(),
             subtitle: [
-                format!("evergraph {}: error {error}, chi2 {chi2}", self.command),
+                format!("evergraph {}: error {error}, chi2 {chi2}{each}", self.command),
                 CONVENTION.into(),
             ],
             map,

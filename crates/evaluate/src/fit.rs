@@ -16,11 +16,14 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use evergraph_formats::{Document, spell_id};
-use evergraph_model::{FactorId, Graph, Values, VariableId};
-use evergraph_replay::{Overview, Replayer};
+use evergraph_formats::{Document, Record, short_id};
+use evergraph_model::{FactorId, Graph, GraphError, Values, VariableId};
+use evergraph_replay::{Initial, Overview, Replay, ReplayOptions, Replayer};
 use evergraph_solver::SmootherError;
 use serde::Serialize;
+
+use crate::error::EvaluateError;
+use crate::start;
 
 /// How many edges [`Fit::worst`] holds.
 const WORST: usize = 10;
@@ -60,6 +63,9 @@ pub struct Fit {
     pub kinds: BTreeMap<String, KindFit>,
     /// Factors of the largest normalized residuals, the largest first; ten at most.
     pub worst: Vec<WorstFactor>,
+    /// The normalized residual of every factor of the file, in its order.
+    #[serde(skip)]
+    pub residuals: Vec<(FactorId, f64)>,
 }
 
 /// chi2 beside its expected range.
@@ -87,6 +93,8 @@ pub struct KindFit {
     pub rows: usize,
     /// `Σ ‖r‖²`.
     pub chi2: f64,
+    /// Root mean square of the rows; with right weights somewhat below 1.
+    pub rms: f64,
     /// `chi2` over the kind's share of the degrees of freedom, which are shared out by rows; `None`
     /// where there are none.
     pub chi2_per_dof: Option<f64>,
@@ -104,18 +112,13 @@ pub struct WorstFactor {
     pub kind: String,
     /// The ids of its variables in the file.
     pub ids: Vec<u64>,
+    /// The same by their names, where they have names (`x12`).
+    pub names: Vec<String>,
     /// `‖r‖`, the length of the whitened residual (standard deviations), without robust kernel.
     pub normalized_residual: f64,
     /// In the graph.
     #[serde(skip)]
     pub factor: FactorId,
-}
-
-impl WorstFactor {
-    /// Its ids as the file spells them.
-    pub fn names(&self) -> String {
-        self.ids.iter().map(|id| spell_id(*id)).collect::<Vec<_>>().join(" ")
-    }
 }
 
 impl Fit {
@@ -125,47 +128,80 @@ impl Fit {
     /// Linear in the factors.
     ///
     /// # Errors
-    /// [`SmootherError::Graph`] where a factor or value is not of the graph, or a factor panics.
+    /// [`GraphError`] where a factor or value is not of the graph, or a factor panics.
     pub fn of(
         graph: &Graph,
         values: &Values,
         file: impl IntoIterator<Item = FileFactor>,
-    ) -> Result<Self, SmootherError> {
+    ) -> Result<Self, GraphError> {
         let mut points = vec![0.0; graph.value_len()];
         for (variable, value) in values.iter() {
             let range = graph.value_range(graph.variable_index(variable)?);
             points[range].copy_from_slice(value.to_value().storage());
         }
+        Self::at(graph, &points, file)
+    }
+
+    /// The fit of what has come in of a document that is replayed, at the estimate.
+    ///
+    /// # Errors
+    /// [`SmootherError`] where there is no estimate, or a factor panics.
+    pub fn of_replayer(replayer: &Replayer, document: &Document) -> Result<Self, SmootherError> {
+        let (graph, estimates) = (replayer.graph(), replayer.smoother().estimates()?);
+        Ok(Self::of(graph, &estimates, file_factors(replayer.replay(), graph, document))?)
+    }
+
+    /// The fit of a document at its vertices; `None` where it has no vertices or no factors.
+    ///
+    /// # Errors
+    /// As [`Start::of`](crate::Start::of).
+    pub fn of_vertices(document: &Document) -> Result<Option<Self>, EvaluateError> {
+        let has_factors = document.records().any(Record::is_factor);
+        if document.summary().vertices == 0 || !has_factors {
+            return Ok(None);
+        }
+        let options = ReplayOptions::default().with_initial(Initial::FromFile);
+        let (replay, graph, points) = start::everything(document, &options)?;
+        Ok(Some(Self::at(&graph, &points, file_factors(&replay, &graph, document))?))
+    }
+
+    fn at(
+        graph: &Graph,
+        points: &[f64],
+        file: impl IntoIterator<Item = FileFactor>,
+    ) -> Result<Self, GraphError> {
         let rows: usize = graph.factor_indices().map(|factor| graph.rows_at(factor)).sum();
         let unknowns: usize = graph.unknown_indices().map(|index| graph.dim_at(index)).sum();
         let degrees_of_freedom = rows.saturating_sub(unknowns);
         let share = degrees_of_freedom as f64 / rows.max(1) as f64;
 
-        let (mut kinds, mut worst) = (BTreeMap::<String, KindFit>::new(), Vec::new());
-        let (mut chi2, mut residual) = (0.0, Vec::new());
-        for FileFactor { factor, line, kind, ids } in file {
-            let index = graph.factor_index(factor)?;
+        let (mut kinds, mut worst) = (BTreeMap::<String, KindFit>::new(), Worst::default());
+        let (mut chi2, mut residuals, mut residual) = (0.0, Vec::new(), Vec::new());
+        for file_factor in file {
+            let index = graph.factor_index(file_factor.factor)?;
             residual.clear();
             residual.resize(graph.rows_at(index), 0.0);
-            graph.residual(index, &points, &mut residual)?;
+            graph.residual(index, points, &mut residual)?;
             let squared: f64 = residual.iter().fold(0.0, |sum, r| sum + r * r);
-            let normalized_residual = squared.sqrt();
+            let normalized = squared.sqrt();
             chi2 += squared;
-            let of_kind = kinds.entry(kind.clone()).or_default();
-            of_kind.count += 1;
-            of_kind.rows += residual.len();
-            of_kind.chi2 += squared;
-            of_kind.largest = of_kind.largest.max(normalized_residual);
-            worst.push(WorstFactor { line, kind, ids, normalized_residual, factor });
+            if !kinds.contains_key(&file_factor.kind) {
+                kinds.insert(file_factor.kind.clone(), KindFit::default());
+            }
+            if let Some(of_kind) = kinds.get_mut(&file_factor.kind) {
+                of_kind.count += 1;
+                of_kind.rows += residual.len();
+                of_kind.chi2 += squared;
+                of_kind.largest = of_kind.largest.max(normalized);
+            }
+            residuals.push((file_factor.factor, normalized));
+            worst.push(file_factor, normalized);
         }
         for kind in kinds.values_mut() {
+            kind.rms = (kind.chi2 / kind.rows.max(1) as f64).sqrt();
             kind.chi2_per_dof = ratio(kind.chi2, share * kind.rows as f64);
         }
-        worst.sort_by(|a, b| {
-            let by_size = b.normalized_residual.total_cmp(&a.normalized_residual);
-            by_size.then(a.line.cmp(&b.line))
-        });
-        worst.truncate(WORST);
+        let worst = worst.finish();
         let dof = degrees_of_freedom as f64;
         let chi2_per_dof = ratio(chi2, dof);
         let expected_95 = (degrees_of_freedom > 0)
@@ -177,31 +213,64 @@ impl Fit {
             // A number that is none is no good fit.
             Some(_) => Verdict::Poor,
         };
-        Ok(Self { chi2, degrees_of_freedom, chi2_per_dof, expected_95, verdict, kinds, worst })
+        Ok(Self {
+            chi2,
+            degrees_of_freedom,
+            chi2_per_dof,
+            expected_95,
+            verdict,
+            kinds,
+            worst,
+            residuals,
+        })
+    }
+}
+
+/// The factors of a document that are in the graph of its replay.
+fn file_factors(
+    replay: &Replay,
+    graph: &Graph,
+    document: &Document,
+) -> impl Iterator<Item = FileFactor> {
+    let names: HashMap<VariableId, u64> =
+        replay.ids().map(|(id, variable)| (variable, id)).collect();
+    let records: HashMap<usize, &Record> =
+        document.lines().iter().map(|line| (line.number, &line.record)).collect();
+    replay.factors().iter().filter_map(move |&(factor, line)| {
+        // A step that was refused is not in the graph.
+        let known = graph.factor(factor).ok()?;
+        let ids = known.keys().iter().filter_map(|key| names.get(key).copied()).collect();
+        let record = records.get(&line);
+        let kind = record.map_or_else(|| known.name(), |record| Overview::kind_of(record));
+        Some(FileFactor { factor, line, kind, ids })
+    })
+}
+
+/// The factors of the largest residuals so far, and a few more.
+#[derive(Default)]
+struct Worst(Vec<(f64, FileFactor)>);
+
+impl Worst {
+    fn push(&mut self, factor: FileFactor, normalized: f64) {
+        self.0.push((normalized, factor));
+        if self.0.len() >= 64 * WORST {
+            self.keep();
+        }
     }
 
-    /// The fit of what has come in of a document that is replayed, at the estimate.
-    ///
-    /// # Errors
-    /// As [`of`](Self::of).
-    pub fn of_replayer(replayer: &Replayer, document: &Document) -> Result<Self, SmootherError> {
-        let names: HashMap<VariableId, u64> =
-            replayer.replay().ids().map(|(id, variable)| (variable, id)).collect();
-        let kinds: HashMap<usize, String> = document
-            .lines()
-            .iter()
-            .map(|line| (line.number, Overview::kind_of(&line.record)))
-            .collect();
-        let graph = replayer.graph();
-        let mut file = Vec::new();
-        for &(factor, line) in replayer.replay().factors() {
-            // A step that was refused is not in the graph.
-            let Ok(known) = graph.factor(factor) else { continue };
-            let ids = known.keys().iter().filter_map(|key| names.get(key).copied()).collect();
-            let kind = kinds.get(&line).cloned().unwrap_or_else(|| known.name());
-            file.push(FileFactor { factor, line, kind, ids });
-        }
-        Self::of(graph, &replayer.smoother().estimates()?, file)
+    fn keep(&mut self) {
+        self.0.sort_by(|(a, one), (b, other)| b.total_cmp(a).then(one.line.cmp(&other.line)));
+        self.0.truncate(WORST);
+    }
+
+    fn finish(mut self) -> Vec<WorstFactor> {
+        self.keep();
+        let worst = self.0.into_iter().map(|(normalized_residual, it)| {
+            let names = it.ids.iter().map(|id| short_id(*id)).collect();
+            let FileFactor { factor, line, kind, ids } = it;
+            WorstFactor { line, kind, ids, names, normalized_residual, factor }
+        });
+        worst.collect()
     }
 }
 
@@ -264,7 +333,7 @@ mod tests {
             fit(&format!("{WAY}EDGE_SE2 0 2 5 0 0 4 0 0 4 0 4\nEDGE_SE2 0 2 2 0 0 1 0 0 1 0 1\n"));
         assert_eq!((fit.degrees_of_freedom, fit.verdict), (6, Verdict::Poor));
         let worst = &fit.worst[0];
-        assert_eq!((worst.line, worst.names().as_str()), (3, "0 2"));
+        assert_eq!((worst.line, worst.names.join(" ").as_str()), (3, "0 2"));
         let [low, high] = fit.expected_95.unwrap();
         assert!((0.2..0.22).contains(&low) && (2.39..2.42).contains(&high), "{low} {high}");
         let kind = fit.kinds["edges to a 2D pose"];
