@@ -8,24 +8,28 @@ use crate::error::Error;
 use crate::output::Output;
 use crate::table::{Columns, Rows, short};
 
+/// Normalized residuals (standard deviations) beyond which an edge is worth a look, and beyond which it can
+/// hardly be right. Of right edges, one in 60,000 is beyond the first in the plane, one in 3,000 in space.
+pub(crate) const STRAINED: f64 = 5.0;
+pub(crate) const TORN: f64 = 10.0;
+
 /// Ids of a factor on many variables fill a line.
 const LONGEST_NAMES: usize = 20;
 
 /// Adds the rows of chi2 per degree of freedom and of the worst edge.
 pub(crate) fn show(fit: &Fit, rows: &mut Rows) {
-    rows.add("degrees of freedom", fit.degrees_of_freedom);
     match fit.chi2_per_dof.zip(fit.expected_95) {
         None => rows.add("chi2 per dof", "none: without degrees of freedom any map fits"),
         Some((ratio, [low, high])) => {
             let verdict = match fit.verdict {
                 Verdict::Poor => "poor fit",
-                Verdict::BetterThanExpected => {
-                    "below: sigmas are larger than the noise, covariances are overstated"
-                }
+                Verdict::Above => "above: sigmas are somewhat small",
+                Verdict::Below => "below: sigmas exceed the noise, covariances are overstated",
                 _ => "as expected",
             };
-            let range = format!("{} to {} (95 %)", short(low), short(high));
-            rows.add("chi2 per dof", format!("{}, expected {range}: {verdict}", short(ratio)));
+            let (ratio, dof) = (short(ratio), fit.degrees_of_freedom);
+            let range = format!("95 % are {} to {}", short(low), short(high));
+            rows.add("chi2 per dof", format!("{ratio} ({dof} dof), {range}: {verdict}"));
         }
     }
     if let Some(worst) = fit.worst.first() {
@@ -34,13 +38,15 @@ pub(crate) fn show(fit: &Fit, rows: &mut Rows) {
     }
 }
 
-/// The edges that contradict the map, with `--verbose` or when the fit is poor, and the kinds.
+/// The edges that contradict the map, and the kinds: when the fit is poor, an edge is far off, or with
+/// `--verbose`.
 pub(crate) fn tell(fit: &Fit, verbose: bool, output: Output) -> Result<(), Error> {
     let poor = fit.verdict == Verdict::Poor;
     if poor {
         output.result(&sentence(fit))?;
     }
-    if (poor || verbose) && !fit.worst.is_empty() {
+    let far_off = fit.worst.first().is_some_and(|it| it.normalized_residual > TORN);
+    if (poor || far_off || verbose) && !fit.worst.is_empty() {
         output.result(&"Largest normalized residuals (standard deviations, before kernels):")?;
         output.result(&worst(fit))?;
         output.result(&kinds(fit))?;
@@ -52,8 +58,9 @@ fn sentence(fit: &Fit) -> String {
     let [low, high] = fit.expected_95.unwrap_or_default();
     let ratio = fit.chi2_per_dof.unwrap_or(f64::NAN);
     format!(
-        "Poor fit: chi2 per degree of freedom is {}; right weights give {} to {}.\n\
-         Either edges are wrong, or sigmas are too small, or this is not the best minimum.",
+        "Poor fit: chi2 per degree of freedom is {}, and right weights give {} to {}.\n\
+         Either edges are wrong, or sigmas are too small, or this is not the best minimum.\n\
+         Edges that a robust kernel has silenced count in full.",
         short(ratio),
         short(low),
         short(high)

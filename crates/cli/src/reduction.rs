@@ -101,8 +101,11 @@ impl Reduction {
         let Divergence { mean_shift_m, rms_shift_m, max_shift_m, .. } = *divergence;
         let [mean, rms, max] = [mean_shift_m, rms_shift_m, max_shift_m].map(number);
         rows.add("shift [m]", format!("mean {mean}, rms {rms}, max {max}"));
-        rows.add("convention", "KLD of the reduced graph from the full graph's marginal on what");
-        rows.add("", "is kept: 1/2 (tr(L P) - n - ln det L + ln det L_true), 1/2 d^T L d");
+        rows.add(
+            "convention",
+            "KLD of the reduced graph from the full graph's marginal on what is kept: \
+             1/2 (tr(L P) - n - ln det L + ln det L_true), 1/2 d^T L d",
+        );
     }
 }
 

@@ -316,8 +316,7 @@ impl Report {
         rows.add("error", number(self.error));
         rows.add("chi2", number(self.chi2));
         fit::show(&self.fit, &mut rows);
-        rows.add("convention", "error = 1/2 sum |r|^2 (robust: sum rho), chi2 = sum |r|^2,");
-        rows.add("", "r = whitened Log(z^-1 xi^-1 xj), the file's factors only");
+        rows.add("convention", format!("{CONVENTION}, the file's factors only"));
         match &self.gauge_prior {
             Some(gauge) => rows.add("gauge prior", gauge.describe()),
             None => rows.add("gauge prior", "none"),

@@ -9,12 +9,8 @@ use evergraph::model::{FactorId, Point3};
 use super::layer::{BLACK, BLUE, GREEN, GREY, Layer, ORANGE, Place, VERMILION};
 use super::map::{EdgeKind, Map, Places};
 use super::svg::Pen;
+use crate::fit::{STRAINED, TORN};
 use crate::table::short;
-
-/// Normalized residuals (standard deviations) that have colours. Of right edges, one in 60,000 is beyond
-/// the first in the plane, one in 3,000 in space.
-const STRAINED: f64 = 5.0;
-const TORN: f64 = 10.0;
 
 /// A map and what is drawn on it, from the bottom to the top.
 #[derive(Clone, Debug)]
