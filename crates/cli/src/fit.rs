@@ -23,13 +23,16 @@ pub(crate) fn show(fit: &Fit, rows: &mut Rows) {
         Some((ratio, [low, high])) => {
             let verdict = match fit.verdict {
                 Verdict::Poor => "poor fit",
-                Verdict::Above => "above: sigmas are somewhat small",
-                Verdict::Below => "below: sigmas exceed the noise, covariances are overstated",
+                Verdict::Above => "above the range: sigmas are somewhat small",
+                Verdict::Below => {
+                    "below the range: sigmas exceed the noise, covariances are overstated"
+                }
                 _ => "as expected",
             };
             let (ratio, dof) = (short(ratio), fit.degrees_of_freedom);
-            let range = format!("95 % are {} to {}", short(low), short(high));
-            rows.add("chi2 per dof", format!("{ratio} ({dof} dof), {range}: {verdict}"));
+            let range = format!("{} to {} if all weights are right", short(low), short(high));
+            rows.add("chi2 per dof", format!("{ratio} over {dof} dof, {verdict}"));
+            rows.add("  95 % range", range);
         }
     }
     if let Some(worst) = fit.worst.first() {
@@ -58,8 +61,8 @@ fn sentence(fit: &Fit) -> String {
     let [low, high] = fit.expected_95.unwrap_or_default();
     let ratio = fit.chi2_per_dof.unwrap_or(f64::NAN);
     format!(
-        "Poor fit: chi2 per degree of freedom is {}, and right weights give {} to {}.\n\
-         Either edges are wrong, or sigmas are too small, or this is not the best minimum.\n\
+        "Poor fit: chi2 per dof is {}, where right weights give {} to {}.\n\
+         Edges are wrong, or sigmas are too small, or this is not the best minimum.\n\
          Edges that a robust kernel has silenced count in full.",
         short(ratio),
         short(low),
