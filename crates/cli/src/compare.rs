@@ -1,6 +1,6 @@
 //! `evergraph compare`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::Args;
@@ -17,6 +17,7 @@ use serde_json::{Map, json};
 use crate::error::Error;
 use crate::files;
 use crate::options::{Common, Solving, StartFrom};
+use crate::plot::PlotPath;
 use crate::reading::Reading;
 use crate::reduction::{self, Reduction, gauge_factors, incomparable, warn_of_ends};
 use crate::report::{self, SCHEMA};
@@ -46,6 +47,9 @@ pub(crate) struct Arguments {
     reduced: PathBuf,
     #[command(flatten)]
     solving: Solving,
+    /// Draw the reduced graph over the full one; .svg or .png
+    #[arg(long, value_name = "FILE", value_parser = PlotPath::parse, help_heading = "Output")]
+    plot: Option<PlotPath>,
     #[command(flatten)]
     reading: Reading,
     #[command(flatten)]
@@ -56,7 +60,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let begun = Instant::now();
     let common = &arguments.common;
     let output = common.output();
-    if let Some(path) = &common.report {
+    let plot = arguments.plot.as_ref().map(PlotPath::path);
+    let targets = || common.report.as_deref().into_iter().chain(plot);
+    files::check_distinct("compare", targets())?;
+    for path in targets() {
         let read = [&arguments.full, &arguments.reduced];
         files::check_apart("compare", read.map(PathBuf::as_path), path)?;
         files::check_writable(path)?;
@@ -65,10 +72,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let options = arguments.solving.replay_options(StartFrom::File);
     let prior = arguments.solving.prior.0;
 
-    let document = arguments.reading.read(&arguments.full, common)?;
-    let mut full = Replayer::new(&document, &options, settings)?;
-    let first = solve(&mut full).map_err(|error| error.with_gauge(prior, &document))?;
-    let overview = Overview::of(&document);
+    let full_document = arguments.reading.read(&arguments.full, common)?;
+    let mut full = Replayer::new(&full_document, &options, settings)?;
+    let first = solve(&mut full).map_err(|error| error.with_gauge(prior, &full_document))?;
+    let overview = Overview::of(&full_document);
     let document = arguments.reading.read(&arguments.reduced, common)?;
     let document = document.with_vertices(shared_values(&full, &document)?)?;
     let options = as_the_file_says(&document, options);
@@ -101,6 +108,13 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
             _ => incomparable(&reduced, error),
         })?,
     };
+
+    if let Some(path) = &arguments.plot {
+        let names = [&full, &reduced].map(|it| report::file_name(Path::new(it.name())));
+        let title = format!("{} below {}", names[0], names[1]);
+        let full = (&full, full.smoother(), &full_document);
+        reduction.plot("compare", title, full, (&reduced, reduced.smoother()))?.save(path)?;
+    }
 
     let mut report = Map::new();
     let names = [&arguments.full, &arguments.reduced].map(|path| report::file_name(path));

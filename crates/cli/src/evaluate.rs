@@ -5,15 +5,17 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use evergraph::evaluate::{
-    AbsoluteError, Alignment, Association, EvaluateError, LandmarkError, PosePairs, RelativeError,
-    RelativePairs, Statistics,
+    AbsoluteError, Alignment, Association, EvaluateError, Fit, LandmarkError, PosePairs,
+    RelativeError, RelativePairs, Statistics,
 };
 use evergraph::formats::Stamps;
 use serde_json::{Value, json};
 
 use crate::error::Error;
 use crate::files;
+use crate::fit;
 use crate::options::Common;
+use crate::plot::{Plot, PlotPath, pictures};
 use crate::reading::Reading;
 use crate::report::{self, SCHEMA};
 use crate::table::{Rows, number};
@@ -24,7 +26,7 @@ Examples:
   evergraph evaluate map.tum --truth groundtruth.tum --max-difference 0.02 --delta 10
   evergraph evaluate map.g2o --times times.csv --truth groundtruth.tum --align first
 
-Maps are g2o, TORO, iSAM or PyFactorGraph files with vertices (or noise-free edges), TUM or KITTI
+A graph's fit to its own edges is told too, at its vertices as they are. Maps are g2o, TORO, iSAM or PyFactorGraph files with vertices (or noise-free edges), TUM or KITTI
 trajectories, told by their content. Poses are paired by id where both sides have ids, else by
 time, or an id in its place. As evo does:
   absolute error (ATE)  E_k = y_k^-1 (S x_k), x estimated, y true, S the alignment
@@ -87,6 +89,9 @@ pub(crate) struct Arguments {
     /// Times of the estimate's poses, lines of `id,timestamp`
     #[arg(long, value_name = "FILE.csv")]
     times: Option<PathBuf>,
+    /// Draw the estimate over the truth; .svg or .png
+    #[arg(long, value_name = "FILE", value_parser = PlotPath::parse, help_heading = "Output")]
+    plot: Option<PlotPath>,
     #[command(flatten)]
     reading: Reading,
     #[command(flatten)]
@@ -102,14 +107,21 @@ fn seconds(text: &str) -> Result<f64, String> {
 
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let common = &arguments.common;
-    if let Some(path) = &common.report {
+    let plot = arguments.plot.as_ref().map(PlotPath::path);
+    let targets = || common.report.as_deref().into_iter().chain(plot);
+    files::check_distinct("evaluate", targets())?;
+    let read = [&arguments.estimate, &arguments.truth].map(PathBuf::as_path);
+    for path in targets() {
+        let times = arguments.times.as_deref();
+        files::check_apart("evaluate", read.into_iter().chain(times), path)?;
         files::check_writable(path)?;
     }
-    let mut estimate = arguments.reading.read_map(&arguments.estimate, common)?;
+    let (mut estimate, document) = arguments.reading.read_map(&arguments.estimate, common)?;
     if let Some(path) = &arguments.times {
         estimate = estimate.with_stamps(&Stamps::read(path)?)?;
     }
-    let truth = arguments.reading.read_map(&arguments.truth, common)?;
+    let (truth, _) = arguments.reading.read_map(&arguments.truth, common)?;
+    let fit = document.as_ref().map(Fit::of_vertices).transpose()?.flatten();
     let association = match arguments.max_difference {
         Some(max_difference) => Association::Time { max_difference },
         None => Association::of(&estimate.trajectory, &truth.trajectory),
@@ -139,12 +151,24 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         "ate": { "translation": absolute.translation, "rotation": absolute.rotation },
         "rpe": relative.map_or(Value::Null, |it| json!(it)),
         "landmarks": landmarks.map_or(Value::Null, |it| json!(it)),
+        "fit": fit,
     });
+    if let Some(path) = &arguments.plot {
+        let furthest = absolute.translation.max;
+        let map = pictures::of_truth([&estimate, &truth], &pairs, &aligned.similarity, furthest);
+        let rmse = number(absolute.translation.rmse);
+        let (truth, align) = (report::file_name(&arguments.truth), arguments.align.name());
+        let subtitle = [
+            format!("evergraph evaluate: ATE {rmse} m (rmse) by {truth}"),
+            format!("{matched} pairs by {association}, alignment {align}"),
+        ];
+        Plot { title: dataset.clone(), subtitle, map, times: None }.save(path)?;
+    }
     report::save(common.report.as_deref(), &report)?;
 
     let output = common.output();
     if !aligned.unique {
-        output.warn(&"the positions of one side lie on a line: the alignment is one of many, and errors of rotation mean little");
+        output.warn(&"the positions of one side are all the same or lie on a line: the alignment is one of many, and errors of rotation mean little");
     }
     let mut rows = Rows::new("map", &dataset);
     rows.add("truth", report::file_name(&arguments.truth));
@@ -166,7 +190,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         let (unknown, missing) = (landmarks.unknown, landmarks.missing);
         rows.add("", format!("{unknown} that the truth does not know, {missing} missing"));
     }
-    output.result(&rows)
+    let Some(fit) = fit else { return output.result(&rows) };
+    fit::show(&fit, &mut rows);
+    output.result(&rows)?;
+    fit::tell(&fit, common.verbose > 0, output)
 }
 
 /// The relative error; a single pose has none, which is no failure unless a distance was asked for.

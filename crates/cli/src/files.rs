@@ -8,6 +8,7 @@ use evergraph::formats::{Dialect, Document, FormatError, TrajectoryError, WriteO
 use evergraph::replay::with_start_vertices;
 
 use crate::error::Error;
+use crate::temporary;
 
 /// A file under a temporary name beside its place, which it takes when it is finished; dropped
 /// before that, it is gone.
@@ -44,7 +45,11 @@ impl NewFile {
         };
         let name = format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id());
         let temporary = place.with_file_name(name);
-        let file = File::create(&temporary).map_err(failed)?;
+        temporary::add(&temporary);
+        let file = File::create(&temporary).map_err(|source| {
+            temporary::forget(&temporary);
+            failed(source)
+        })?;
         let writer = BufWriter::new(file);
         Ok(Self { named: path.into(), place, temporary: Some(temporary), writer })
     }
@@ -81,6 +86,8 @@ impl NewFile {
                 self.writer.get_ref().sync_all().and_then(|()| fs::rename(&temporary, &self.place));
             if renamed.is_err() {
                 self.temporary = Some(temporary);
+            } else {
+                temporary::forget(&temporary);
             }
             renamed.map_err(|source| self.failed(source))?;
         }
@@ -97,6 +104,7 @@ impl Drop for NewFile {
         if let Some(temporary) = &self.temporary {
             // What cannot be removed stays; there is nobody left to tell.
             let _ = fs::remove_file(temporary);
+            temporary::forget(temporary);
         }
     }
 }

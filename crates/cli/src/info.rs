@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use evergraph::formats::Document;
+use evergraph::formats::{Document, short_id};
 use evergraph::replay::Initial;
 use evergraph::{Overview, Start};
 use serde_json::{Value, json};
@@ -127,7 +127,7 @@ fn describe(document: &Document, overview: &Overview, all: bool, rows: &mut Rows
         for component in overview.components.iter().take(listed) {
             let (poses, landmarks) = (component.poses, component.landmarks);
             rows.add(
-                &format!("  from {}", component.first),
+                &format!("  from {}", short_id(component.first)),
                 format!("{poses} poses, {landmarks} landmarks"),
             );
         }
@@ -167,5 +167,8 @@ fn describe(document: &Document, overview: &Overview, all: bool, rows: &mut Rows
 }
 
 fn with_range(count: usize, range: Option<(u64, u64)>) -> String {
-    range.map_or_else(|| count.to_string(), |(low, high)| format!("{count}, ids {low} to {high}"))
+    range.map_or_else(
+        || count.to_string(),
+        |(low, high)| format!("{count}, ids {} to {}", short_id(low), short_id(high)),
+    )
 }

@@ -11,6 +11,7 @@ mod error;
 mod evaluate;
 mod files;
 mod final_batch;
+mod fit;
 mod info;
 mod log;
 mod nodes;
@@ -29,6 +30,7 @@ mod simulate;
 mod stderr;
 mod steps;
 mod table;
+mod temporary;
 mod warnings;
 
 use std::process::ExitCode;
@@ -47,7 +49,8 @@ struct Program {
 }
 
 const EXIT_CODES: &str = "\
-Exit codes: 0 done, 1 the input or the problem is bad (a message says what and where), 2 usage.
+Exit codes: 0 done, 1 the input or the problem is bad (a message says what and where), 2 usage,
+130 interrupted: no file is left half written.
 `evergraph <COMMAND> --help` has examples; `evergraph completions --help` says how a shell completes
 the options.";
 
@@ -105,6 +108,7 @@ fn main() -> ExitCode {
     if let Some(common) = command.common() {
         log::start(common);
     }
+    temporary::remove_on_interrupt();
     let result = match command {
         Command::Replay(arguments) => replay::run(&arguments),
         Command::Optimize(arguments) => optimize::run(&arguments),

@@ -9,6 +9,7 @@ use evergraph::solver::{BatchSettings, Method, Relinearization, Status as BatchS
 use serde_json::json;
 
 use crate::error::Error;
+use crate::fit;
 use crate::options::{Common, Solving, StartFrom};
 use crate::outputs::Outputs;
 use crate::reading::Reading;
@@ -143,7 +144,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         Err(error) => {
             let error = error.with_gauge(arguments.solving.prior.0, &document);
             if error.is_singular() {
-                let mut report = Report::new(&replayer, run)?;
+                let mut report = Report::new(&replayer, &document, run)?;
                 report.add("iterations", 0);
                 report.add("initial_error", json!(initial_error));
                 report.add("gradient_norm", json!(null));
@@ -159,7 +160,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         _ => Status::NotConverged,
     };
     run.relinearizations = batch.iterations as usize * replayer.graph().variable_count();
-    let mut report = Report::new(&replayer, run)?;
+    let mut report = Report::new(&replayer, &document, run)?;
     report.add("iterations", batch.iterations);
     report.add("initial_error", json!(initial_error));
     report.add("gradient_norm", batch.gradient_norm);
@@ -170,5 +171,6 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     let mut rows = report.table(&format!("{words} after {} iterations", batch.iterations));
     rows.add("initial error", initial_error.map_or_else(String::new, number));
     rows.add("gradient norm", format!("{:.3e} (largest component of J^T r)", batch.gradient_norm));
-    output.result(&rows)
+    output.result(&rows)?;
+    fit::tell(&report.fit, common.verbose > 0, output)
 }

@@ -28,7 +28,8 @@ pub(crate) struct Outputs {
     /// Leave out of --output what other readers of the format do not know
     #[arg(long, requires = "output")]
     plain: bool,
-    /// Draw the map (and, of a replay, the time of each step); .svg or .png
+    /// Draw the map, edges of large residuals in colours (and, of a replay, the time of each step); .svg
+    /// or .png
     #[arg(long, value_name = "FILE", value_parser = PlotPath::parse)]
     plot: Option<PlotPath>,
     /// Write the poses; .tum or .kitti
@@ -121,7 +122,7 @@ impl Prepared<'_> {
             self.write_trajectory(to, replayer)?;
         }
         if let Some(path) = &self.outputs.plot {
-            report.plot(replayer, times)?.save(path)?;
+            report.plot(replayer, document, times)?.save(path)?;
         }
         Ok(())
     }

@@ -23,7 +23,7 @@ pub(crate) struct Progress {
 impl Progress {
     pub(crate) fn new(steps: usize, shown: bool) -> Self {
         let bar = shown.then(|| {
-            let style = "{bar:30} {pos}/{len} steps, {rate}, {eta} left{msg}";
+            let style = "{bar:10} {pos}/{len} steps, {rate}, {eta} left{msg}";
             let style = ProgressStyle::with_template(style)
                 .unwrap_or_else(|_| ProgressStyle::default_bar());
             // Without the decimals of `per_sec`.

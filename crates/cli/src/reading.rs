@@ -39,15 +39,20 @@ fn rotation(name: &str) -> Result<G2oRotation, String> {
 }
 
 impl Reading {
-    /// Reads a map to be measured, or to measure by, and warns about what is odd in it.
-    pub(crate) fn read_map(&self, path: &Path, common: &Common) -> Result<Map, Error> {
-        if path == Path::new(STANDARD_INPUT) {
-            return Ok(Map::of_document(&self.read(path, common)?)?);
+    /// Reads a map to be measured, or to measure by, and warns about what is odd in it. Of a graph,
+    /// the document too.
+    pub(crate) fn read_map(
+        &self,
+        path: &Path,
+        common: &Common,
+    ) -> Result<(Map, Option<Document>), Error> {
+        if path != Path::new(STANDARD_INPUT)
+            && let Some(format) = TrajectoryFormat::of_content(path)?
+        {
+            return Ok((Map::read(path, Some(format), &self.options(common))?, None));
         }
-        match TrajectoryFormat::of_content(path)? {
-            Some(format) => Ok(Map::read(path, Some(format), &self.options(common))?),
-            None => Ok(Map::of_document(&self.read(path, common)?)?),
-        }
+        let document = self.read(path, common)?;
+        Ok((Map::of_document(&document)?, Some(document)))
     }
 
     /// Reads a file and warns about what is odd in it.

@@ -1,6 +1,7 @@
 //! What `remove` and `compare` say of two graphs.
 
 use evergraph::evaluate::{Divergence, DivergenceError, GraphSize};
+use evergraph::formats::Document;
 use evergraph::model::{FactorId, VariableId};
 use evergraph::solver::{BatchReport, Status as BatchStatus};
 use evergraph::{Replayer, Smoother};
@@ -8,6 +9,7 @@ use serde_json::{Map, Value, json};
 
 use crate::error::Error;
 use crate::output::Output;
+use crate::plot::{self, Places, Plot, pictures};
 use crate::report;
 use crate::table::{Rows, number};
 
@@ -58,6 +60,29 @@ impl Reduction {
         }
     }
 
+    /// The picture of both graphs at their estimates: the full one with its document, the reduced one.
+    pub(crate) fn plot(
+        &self,
+        command: &str,
+        title: String,
+        (full, smoother, document): (&Replayer, &Smoother, &Document),
+        (reduced, kept): (&Replayer, &Smoother),
+    ) -> Result<Plot, Error> {
+        let map = plot::Map::of(full.replay(), smoother, document);
+        let map = map.map_err(|source| Error::unsolvable(full, source))?;
+        let places = Places::of(reduced.replay(), kept);
+        let places = places.map_err(|source| Error::unsolvable(reduced, source))?;
+        let Self { before, after, divergence } = self;
+        let [rms, total] = [divergence.rms_shift_m, divergence.total].map(number);
+        let (from, to) = (before.variables, after.variables);
+        let subtitle = [
+            format!("evergraph {command}: {from} to {to} variables, KLD {total} nats"),
+            format!("shift {rms} m (rms)"),
+        ];
+        let map = pictures::of_reduction(&map, &places, divergence.max_shift_m);
+        Ok(Plot { title, subtitle, map, times: None })
+    }
+
     /// Adds the rows that both subcommands show: sizes, then figures.
     pub(crate) fn show(&self, rows: &mut Rows) {
         let Self { before, after, divergence } = self;
@@ -76,8 +101,11 @@ impl Reduction {
         let Divergence { mean_shift_m, rms_shift_m, max_shift_m, .. } = *divergence;
         let [mean, rms, max] = [mean_shift_m, rms_shift_m, max_shift_m].map(number);
         rows.add("shift [m]", format!("mean {mean}, rms {rms}, max {max}"));
-        rows.add("convention", "KLD of the reduced graph from the full graph's marginal on what");
-        rows.add("", "is kept: 1/2 (tr(L P) - n - ln det L + ln det L_true), 1/2 d^T L d");
+        rows.add(
+            "convention",
+            "KLD of the reduced graph from the full graph's marginal on what is kept: \
+             1/2 (tr(L P) - n - ln det L + ln det L_true), 1/2 d^T L d",
+        );
     }
 }
 

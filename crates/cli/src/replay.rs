@@ -12,6 +12,7 @@ use tracing::info;
 
 use crate::error::Error;
 use crate::final_batch::{FinalBatch, Finish, describe, finish};
+use crate::fit;
 use crate::options::{Common, Policy, Solving, StartFrom};
 use crate::output::Output;
 use crate::outputs::Outputs;
@@ -174,7 +175,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         status,
         peak_rss_mb,
     };
-    let mut report = Report::new(&replayer, run)?;
+    let mut report = Report::new(&replayer, &document, run)?;
     report.add("order", replayer.replay().order().to_string());
     report.add("updates", driven.updates.len());
     report.add("batches", driven.batches);
@@ -198,7 +199,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     if let Some(compared) = batch.and_then(|batch| batch.compared) {
         rows.add("chordal start", describe(&compared));
     }
-    output.result(&rows)
+    output.result(&rows)?;
+    fit::tell(&report.fit, common.verbose > 0, output)
 }
 
 fn read(arguments: &Arguments) -> Result<(Document, String), Error> {
@@ -334,7 +336,7 @@ fn in_words(report: &Report, cut: bool, batch: &Option<Finish>) -> String {
             )
         }
         _ if report.status == Status::Converged => {
-            "converged to a local minimum (one more step gains < 0.1 %)".into()
+            "converged to a local minimum, one step gains < 0.1 %".into()
         }
         _ => "not converged (one more step gains > 0.1 %): use --final-batch".into(),
     }

@@ -3,7 +3,8 @@
 use std::path::Path;
 use std::time::Duration;
 
-use evergraph::formats::spell_id;
+use evergraph::evaluate::Fit;
+use evergraph::formats::{Document, spell_id};
 use evergraph::solver::{Reason, Status as BatchStatus};
 use evergraph::{Objective, Replayer};
 use serde::Serialize;
@@ -11,9 +12,10 @@ use serde_json::{Map, Value, json};
 
 use crate::error::Error;
 use crate::files;
-use crate::plot::{self, Plot};
+use crate::fit;
+use crate::plot::{self, Plot, pictures};
 use crate::steps::StepName;
-use crate::table::{CONVENTION, Rows, milliseconds, number};
+use crate::table::{CONVENTION, Rows, milliseconds, number, short};
 
 /// Version of the JSON reports.
 pub(crate) const SCHEMA: u32 = 1;
@@ -179,6 +181,8 @@ pub(crate) struct Report {
     convention: &'static str,
     error: f64,
     chi2: f64,
+    /// How well the file's factors agree.
+    pub(crate) fit: Fit,
     gauge_prior: Option<Gauge>,
     /// Variables that FIX lines hold.
     fixed: usize,
@@ -209,10 +213,11 @@ pub(crate) struct Run {
 }
 
 impl Report {
-    pub(crate) fn new(replayer: &Replayer, run: Run) -> Result<Self, Error> {
+    pub(crate) fn new(replayer: &Replayer, document: &Document, run: Run) -> Result<Self, Error> {
         let unsolvable = |source| Error::unsolvable(replayer, source);
         let Objective { error, chi2, .. } = replayer.objective().map_err(unsolvable)?;
         let gauge_error = replayer.gauge_error().map_err(unsolvable)?;
+        let fit = Fit::of_replayer(replayer, document).map_err(unsolvable)?;
         let size = replayer.smoother().size();
         let graph = replayer.graph();
         // A refused step is none of what is in the graph.
@@ -245,6 +250,7 @@ impl Report {
             convention: CONVENTION,
             error,
             chi2,
+            fit,
             gauge_prior,
             fixed: replay.fixed().count(),
             time: run.time,
@@ -275,14 +281,21 @@ impl Report {
     pub(crate) fn plot(
         &self,
         replayer: &Replayer,
+        document: &Document,
         times: Option<Vec<(StepName, f64)>>,
     ) -> Result<Plot, Error> {
         let (error, chi2) = (number(self.error), number(self.chi2));
-        let map = plot::Map::of(replayer).map_err(|source| Error::unsolvable(replayer, source))?;
+        let map = plot::Map::of(replayer.replay(), replayer.smoother(), document);
+        let map = map.map_err(|source| Error::unsolvable(replayer, source))?;
+        let map = pictures::of_fit(&map, &self.fit);
+        let each = self
+            .fit
+            .chi2_per_dof
+            .map_or_else(String::new, |ratio| format!(", {} per degree of freedom", short(ratio)));
         Ok(Plot {
             title: self.dataset.clone(),
             subtitle: [
-                format!("evergraph {}: error {error}, chi2 {chi2}", self.command),
+                format!("evergraph {}: error {error}, chi2 {chi2}{each}", self.command),
                 CONVENTION.into(),
             ],
             map,
@@ -302,8 +315,8 @@ impl Report {
         rows.add("factors", format!("{} (the file's)", self.factors));
         rows.add("error", number(self.error));
         rows.add("chi2", number(self.chi2));
-        rows.add("convention", "error = 1/2 sum |r|^2 (robust: sum rho), chi2 = sum |r|^2,");
-        rows.add("", "r = whitened Log(z^-1 xi^-1 xj), the file's factors only");
+        fit::show(&self.fit, &mut rows);
+        rows.add("convention", format!("{CONVENTION}, the file's factors only"));
         match &self.gauge_prior {
             Some(gauge) => rows.add("gauge prior", gauge.describe()),
             None => rows.add("gauge prior", "none"),

@@ -6,30 +6,65 @@ use comfy_table::{Cell, CellAlignment, Table, presets};
 pub(crate) const CONVENTION: &str =
     "error = 1/2 sum |r|^2 (robust: sum rho), chi2 = sum |r|^2, r = whitened Log(z^-1 xi^-1 xj)";
 
+/// No line is longer, but for names of files.
+const WIDTH: usize = 80;
+/// Frame and padding of a table of two columns.
+const FRAME: usize = 7;
+
 /// Rows of a name and a value under a title.
 #[derive(Debug)]
-pub(crate) struct Rows(Table);
+pub(crate) struct Rows {
+    title: [String; 2],
+    rows: Vec<[String; 2]>,
+}
 
 impl Rows {
     pub(crate) fn new(title: &str, value: &str) -> Self {
-        let mut table = Table::new();
-        table.load_style(presets::UTF8_FULL_CONDENSED);
-        table.set_header([title, value]);
-        Self(table)
+        Self { title: [title.into(), value.into()], rows: Vec::new() }
     }
 
+    /// A value that is too long for a line goes on in the next.
     pub(crate) fn add(&mut self, name: &str, value: impl ToString) {
-        self.0.add_row([
-            Cell::new(name),
-            Cell::new(value.to_string()).set_alignment(CellAlignment::Left),
-        ]);
+        self.rows.push([name.into(), value.to_string()]);
     }
 }
 
 impl std::fmt::Display for Rows {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        self.0.fmt(f)
+        let names = self.rows.iter().chain([&self.title]).map(|[name, _]| name.chars().count());
+        let room = WIDTH.saturating_sub(FRAME + names.max().unwrap_or(0));
+        let mut table = Table::new();
+        table.load_style(presets::UTF8_FULL_CONDENSED);
+        table.set_header(&self.title);
+        for [name, value] in &self.rows {
+            let value = broken(value, room).join("\n");
+            table.add_row([Cell::new(name), Cell::new(value).set_alignment(CellAlignment::Left)]);
+        }
+        table.fmt(f)
     }
+}
+
+/// Lines of at most `room` letters, broken at spaces, rather behind a comma; a word is never broken.
+pub(crate) fn broken(text: &str, room: usize) -> Vec<String> {
+    let mut lines = Vec::new();
+    for line in text.lines() {
+        let mut rest: Vec<&str> = line.split(' ').collect();
+        while !rest.is_empty() {
+            let mut length = 0;
+            let fits = rest.iter().take_while(|word| {
+                length += word.chars().count() + 1;
+                length <= room + 1
+            });
+            let mut count = fits.count().max(1);
+            if count < rest.len() {
+                let comma = rest[..count].iter().rposition(|word| word.ends_with([',', ';', ':']));
+                count = comma.map(|at| at + 1).filter(|at| 2 * at > count).unwrap_or(count);
+            }
+            lines.push(rest[..count].join(" "));
+            rest.drain(..count);
+        }
+    }
+    lines
 }
 
 /// Rows of a name and figures under titles.
@@ -75,6 +110,19 @@ pub(crate) fn number(x: f64) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
 }
 
+/// A number of which four digits say enough.
+pub(crate) fn short(x: f64) -> String {
+    let size = x.abs();
+    if x == 0.0 {
+        return "0".into();
+    }
+    if !(1e-4..1e7).contains(&size) {
+        return format!("{x:.3e}");
+    }
+    let digits = (3 - size.log10().floor() as i32).clamp(0, 7) as usize;
+    format!("{x:.digits$}")
+}
+
 /// Milliseconds in a unit that fits.
 pub(crate) fn milliseconds(ms: f64) -> String {
     match ms {
@@ -87,6 +135,28 @@ pub(crate) fn milliseconds(ms: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn long_values_go_on_in_the_next_line() {
+        let text = "mean 1.5 ms, p50 2.5 ms, p99 12.75 ms";
+        assert_eq!(broken(text, 30), ["mean 1.5 ms, p50 2.5 ms,", "p99 12.75 ms"]);
+        assert_eq!(broken("a name_that_is_too_long b", 9), ["a", "name_that_is_too_long", "b"]);
+        assert_eq!(broken("as it is", 8), ["as it is"]);
+        let mut rows = Rows::new("data set", "x.g2o");
+        rows.add("a row", text.repeat(4));
+        rows.add("nothing", "");
+        assert!(rows.to_string().lines().all(|line| line.chars().count() <= WIDTH));
+        assert_eq!(rows.to_string().matches("12.75").count(), 4);
+    }
+
+    #[test]
+    fn four_digits_are_short() {
+        let expected =
+            [(0.0, "0"), (103.53, "103.5"), (0.927, "0.9270"), (1e9, "1.000e9"), (f64::NAN, "NaN")];
+        for (x, text) in expected {
+            assert_eq!(short(x), text);
+        }
+    }
 
     #[test]
     fn numbers_are_short() {

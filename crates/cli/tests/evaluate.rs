@@ -189,3 +189,22 @@ fn bad_lines_of_either_map_are_told() {
     assert!(ran.err.contains("map.g2o:2") && ran.err.contains("truth.g2o:3"), "{}", ran.err);
     assert_eq!(folder.run("evaluate map.g2o --truth truth.g2o --lenient -q").done().err, "");
 }
+
+#[test]
+fn a_robot_that_stands_still_has_no_scale_and_a_warning() {
+    let (mut estimate, mut truth) = (String::new(), String::new());
+    for k in 0..20 {
+        let t = f64::from(k);
+        estimate += &format!("{k} 0.1 0.2 0.3 0 0 0 1\n");
+        truth += &format!("{k} {} {} {} 0 0 0 1\n", t.cos(), (1.3 * t).sin(), (0.7 * t).sin());
+    }
+    let folder = Folder::with("estimate.tum", &estimate);
+    folder.write("truth.tum", &truth);
+    let ran = folder.run("evaluate estimate.tum --truth truth.tum --report out.json").done();
+    assert!(ran.err.contains("all the same"), "{}", ran.err);
+    let report = folder.json("out.json");
+    assert_eq!(report["alignment"]["unique"], false);
+    assert!(number(&report["ate"]["rotation"], "rmse") < 1e-12);
+    let scaled = folder.run("evaluate estimate.tum --truth truth.tum --align scale");
+    scaled.failed(1, &["no scale"]);
+}

@@ -47,10 +47,11 @@ fn a_plot_shows_what_there_is() {
     assert!(
         svg.starts_with("<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"1200\" height=\"1500\"")
     );
-    // Four poses, the closures 3 0 and 0 2, a landmark.
+    // Four poses, the closures 3 0 and 0 2, a landmark, no edge of a large residual.
     assert_eq!((count(&svg, "trajectory", 'M'), count(&svg, "trajectory", 'L')), (1, 3));
     assert_eq!((count(&svg, "closures", 'M'), count(&svg, "closures", 'L')), (2, 2));
     assert_eq!(count(&svg, "landmarks", 'h'), 1);
+    assert_eq!((count(&svg, "strained", 'M'), count(&svg, "torn", 'M')), (0, 0));
     // Each step is a dot of one kind or the other.
     assert_eq!((count(&svg, "explore", 'h'), count(&svg, "loop", 'h')), (2, 2));
     let error = folder.json("out.json")["error"].as_f64().unwrap();
@@ -152,5 +153,103 @@ fn robots_that_drive_at_once_have_a_line_each() {
     folder.run("replay two.g2o --plot map.svg").done();
     let svg = folder.read("map.svg");
     assert_eq!((count(&svg, "trajectory", 'M'), count(&svg, "trajectory", 'L')), (2, 8));
-    assert_eq!((count(&svg, "closures", 'M'), count(&svg, "poses", 'h')), (1, 0));
+    assert_eq!((count(&svg, "closures", 'M'), count(&svg, "poses", 'h')), (0, 0));
+    // A range is no loop closure.
+    assert_eq!(count(&svg, "others", 'M'), 1);
+    assert!(svg.contains("other measurements of two poses (1)") && !svg.contains("loop closures"));
+}
+
+/// Every measurement of the file is motion or closure, repeated ones too.
+#[test]
+fn loop_closures_are_counted_as_simulate_counts_them() {
+    let folder = Folder::new();
+    let made = folder.run("simulate manhattan --poses 300 --seed 2 --output map.g2o").done();
+    let told: usize = made
+        .out
+        .split(" loop closures")
+        .next()
+        .unwrap()
+        .rsplit(' ')
+        .next()
+        .unwrap()
+        .parse()
+        .unwrap();
+    assert!(told > 20, "{}", made.out);
+    let again = "EDGE_SE2 0 9 1 0 0 1e-9 0 0 1e-9 0 1e-9\n";
+    folder.write("more.g2o", &format!("{}{again}{again}", folder.read("map.g2o")));
+    for (file, closures) in [("map.g2o", told), ("more.g2o", told + 2)] {
+        folder.run(&format!("optimize {file} --plot map.svg")).done();
+        let svg = folder.read("map.svg");
+        assert_eq!(count(&svg, "closures", 'M'), closures);
+        assert!(svg.contains(&format!("loop closures ({closures})")), "{closures}");
+    }
+}
+
+/// The wrong edge is weak, so that it alone is contradicted.
+#[test]
+fn edges_of_large_residuals_have_colours() {
+    let with = |metres: f64| format!("{SQUARE}EDGE_SE2 0 2 {metres} 1 3.1416 1 0 0 1 0 1\n");
+    let folder = Folder::new();
+    for (metres, strained, torn) in [(1.0, 0, 0), (8.5, 1, 0), (15.0, 0, 1)] {
+        folder.write("square.g2o", &with(metres));
+        folder.run("optimize square.g2o --plot map.svg --report out.json").done();
+        let svg = folder.read("map.svg");
+        let edges = (count(&svg, "strained", 'M'), count(&svg, "torn", 'M'));
+        assert_eq!(edges, (strained, torn), "{metres}: {}", folder.json("out.json")["fit"]);
+        assert_eq!(svg.contains("edges with residuals of 5 to 10 sigma (1)"), strained == 1);
+        assert_eq!(svg.contains("of more than 10 sigma (1)"), torn == 1);
+        assert!(svg.contains("loop closures (2)") && svg.contains("per degree of freedom"));
+    }
+}
+
+#[test]
+fn a_reduced_graph_lies_over_the_full_one() {
+    let folder = Folder::new();
+    folder.run("simulate manhattan --poses 60 --seed 3 --landmarks --output full.g2o").done();
+    let remove =
+        "remove full.g2o --keep-every 2 --output half.g2o --plot gone.svg --report out.json";
+    folder.run(remove).done();
+    let removed = folder.json("out.json")["removed"].as_u64().unwrap() as usize;
+    assert!(removed > 20);
+    folder.run("compare full.g2o half.g2o --plot both.svg").done();
+    for name in ["gone.svg", "both.svg"] {
+        let svg = folder.read(name);
+        assert!(is_well_formed(&svg), "{name}");
+        assert_eq!(count(&svg, "removed", 'h'), removed, "{name}");
+        assert_eq!(count(&svg, "below", 'L'), 59, "{name}");
+        assert_eq!(count(&svg, "trajectory", 'L'), 59 - removed, "{name}");
+        for part in ["full graph (60 poses)", "landmarks kept", " m at most", "KLD"] {
+            assert!(svg.contains(part), "{part} is not in {name}");
+        }
+        assert!(svg.contains(&format!("reduced graph ({} poses)", 60 - removed)), "{name}");
+        assert!(svg.contains(&format!("nodes removed ({removed})")), "{name}");
+    }
+    folder.run("remove full.g2o --fraction 0.1 --plot full.g2o").failed(2, &["full.g2o"]);
+    folder.run("compare full.g2o half.g2o --plot a.svg --report a.svg").failed(2, &["two of"]);
+}
+
+/// The truth is the estimate, turned and moved, but for one pose.
+#[test]
+fn an_estimate_lies_over_the_truth() {
+    let folder = Folder::new();
+    let vertices = |at: [[f64; 2]; 4]| -> String {
+        let lines = at.iter().enumerate();
+        lines.map(|(id, [x, y])| format!("VERTEX_SE2 {id} {x} {y} 0\n")).collect()
+    };
+    folder.write("map.g2o", &vertices([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.5]]));
+    folder.write("truth.g2o", &vertices([[10.0, 5.0], [10.0, 9.0], [6.0, 9.0], [6.0, 5.0]]));
+    folder.run("evaluate map.g2o --truth truth.g2o --plot map.svg --report out.json").done();
+    let svg = folder.read("map.svg");
+    assert!(is_well_formed(&svg), "{svg}");
+    assert_eq!((count(&svg, "below", 'L'), count(&svg, "trajectory", 'L')), (3, 3));
+    assert_eq!(count(&svg, "shifts", 'M'), 4);
+    let furthest = folder.json("out.json")["ate"]["translation"]["max"].as_f64().unwrap();
+    let told = svg.split("between pairs, ").nth(1).unwrap().split(' ').next().unwrap();
+    assert!((told.parse::<f64>().unwrap() - furthest).abs() < 1e-3 && furthest < 0.5, "{told}");
+    for part in ["truth (4 poses)", "estimate (4 poses)", "ATE"] {
+        assert!(svg.contains(part), "{part}");
+    }
+    folder
+        .run("evaluate map.g2o --truth truth.g2o --plot truth.svg --report truth.svg")
+        .failed(2, &["two of"]);
 }

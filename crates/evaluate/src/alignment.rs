@@ -77,6 +77,9 @@ pub struct Aligned {
 /// positions on a line after rounding is a hundred times smaller.
 const SAME: f64 = 1e-12;
 
+/// Below this share of the mean, a spread of positions is rounding.
+const ROUNDING: f64 = 1e-13;
+
 impl PosePairs {
     /// The motion that lays the estimate over the truth.
     ///
@@ -131,6 +134,11 @@ fn center(points: &mut [Vector3<f64>]) -> Result<Vector3<f64>, EvaluateError> {
     let count = points.len() as f64;
     let mean: Vector3<f64> = points.iter().map(|point| point / count).sum();
     points.iter_mut().for_each(|point| *point -= mean);
+    // Of equal positions, rounding of the mean leaves a spread that is none.
+    let spread = points.iter().map(|point| point.amax()).fold(0.0, f64::max);
+    if spread <= ROUNDING * mean.amax() {
+        points.iter_mut().for_each(|point| *point = Vector3::zeros());
+    }
     let finite = points.iter().flatten().all(|x| x.is_finite());
     if finite { Ok(mean) } else { Err(EvaluateError::Overflow) }
 }

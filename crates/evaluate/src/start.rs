@@ -22,17 +22,7 @@ impl Start {
     /// [`EvaluateError::Replay`], [`EvaluateError::Graph`] when the document is no graph.
     pub fn of(document: &Document, initial: Initial) -> Result<Self, EvaluateError> {
         let options = ReplayOptions::default().with_prior(None).with_initial(initial);
-        let mut replay = Replay::new(document, &options)?;
-        let mut graph = Graph::new();
-        let mut change = graph.change();
-        replay.everything(&mut change)?;
-        let staged = graph.stage(&change)?;
-        graph.commit(staged);
-        let mut points = vec![0.0; graph.value_len()];
-        for (variable, value) in change.new_variables() {
-            let range = graph.value_range(graph.variable_index(*variable)?);
-            points[range].copy_from_slice(value.storage());
-        }
+        let (replay, graph, points) = everything(document, &options)?;
         Ok(Self { graph, points, ids: replay.ids().collect() })
     }
 
@@ -64,4 +54,23 @@ impl Start {
             Some((*id, self.graph.value(index, &self.points[self.graph.value_range(index)])))
         })
     }
+}
+
+/// All of a document as a graph at its start values.
+pub(crate) fn everything(
+    document: &Document,
+    options: &ReplayOptions,
+) -> Result<(Replay, Graph, Vec<f64>), EvaluateError> {
+    let mut replay = Replay::new(document, options)?;
+    let mut graph = Graph::new();
+    let mut change = graph.change();
+    replay.everything(&mut change)?;
+    let staged = graph.stage(&change)?;
+    graph.commit(staged);
+    let mut points = vec![0.0; graph.value_len()];
+    for (variable, value) in change.new_variables() {
+        let range = graph.value_range(graph.variable_index(*variable)?);
+        points[range].copy_from_slice(value.storage());
+    }
+    Ok((replay, graph, points))
 }

@@ -129,7 +129,7 @@ pub use document::Document;
 pub use error::{Field, FormatError, Place};
 pub use factor_data::{Reading, ReadingError, catalogue, relative_data};
 pub use measurement::{LinearMeasurement, Measurement, Quantity};
-pub use names::{parse_id, spell_id};
+pub use names::{parse_id, short_id, spell_id, symbol};
 pub use options::{Dialect, G2oRotation, ReadOptions, WriteOptions};
 pub use record::{Line, Record};
 pub use trajectory::{Stamps, Trajectory, TrajectoryError, TrajectoryFormat};

@@ -44,6 +44,12 @@ pub(crate) fn of(id: u64, kind: Kind) -> Option<String> {
     Some(format!("{}{index}", char::from(letter)))
 }
 
+/// The letter and the index of an id that is that of a name, GTSAM's symbol; `None` for any other.
+pub fn symbol(id: u64) -> Option<(char, u64)> {
+    let letter = u8::try_from(id >> INDEX_BITS).ok().filter(u8::is_ascii_alphabetic)?;
+    Some((char::from(letter), id & (u64::MAX >> (64 - INDEX_BITS))))
+}
+
 /// An id for a reader: as the file's numbers have it and, if it is that of a name, the name.
 ///
 /// ```
@@ -51,11 +57,22 @@ pub(crate) fn of(id: u64, kind: Kind) -> Option<String> {
 /// assert_eq!(evergraph_formats::spell_id(5_476_377_146_882_523_143), "L7 (5476377146882523143)");
 /// ```
 pub fn spell_id(id: u64) -> String {
-    match u8::try_from(id >> INDEX_BITS) {
-        Ok(letter) if letter.is_ascii_alphabetic() => {
-            format!("{}{} ({id})", char::from(letter), id & (u64::MAX >> (64 - INDEX_BITS)))
-        }
-        _ => id.to_string(),
+    match symbol(id) {
+        Some((letter, index)) => format!("{letter}{index} ({id})"),
+        None => id.to_string(),
+    }
+}
+
+/// An id in a table: its name if it is that of one, else the number.
+///
+/// ```
+/// use evergraph_formats::short_id;
+/// assert_eq!((short_id(17).as_str(), short_id(5_476_377_146_882_523_143).as_str()), ("17", "L7"));
+/// ```
+pub fn short_id(id: u64) -> String {
+    match symbol(id) {
+        Some((letter, index)) => format!("{letter}{index}"),
+        None => id.to_string(),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use evergraph_formats::{Document, FormatError, Kind, Line, Record};
+use evergraph_formats::{Document, FormatError, Kind, Line, Record, spell_id};
 use evergraph_model::Pose3;
 use smallvec::SmallVec;
 
@@ -68,7 +68,7 @@ impl Replay {
             let node =
                 node.ok_or_else(|| FormatError::MissingVertex { place: place.clone(), id })?;
             if ends.contains(&node) {
-                return Err(bad(&place, format!("it names {id} twice")));
+                return Err(bad(&place, format!("it names {} twice", spell_id(id))));
             }
             ends.push(node);
         }

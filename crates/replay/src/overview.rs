@@ -47,7 +47,7 @@ impl Overview {
         let mut components = Components::new(ids.len());
         let mut pairs: HashMap<(usize, usize), usize> = HashMap::new();
         for record in document.records() {
-            *overview.records.entry(name(record)).or_default() += 1;
+            *overview.records.entry(Self::kind_of(record)).or_default() += 1;
             let ends: Vec<usize> = record
                 .ends()
                 .iter()
@@ -91,20 +91,23 @@ impl Overview {
     pub fn component_of_pose(&self, id: u64) -> Option<&Component> {
         self.components.get(self.component_of(id, true)?)
     }
-}
 
-fn name(record: &Record) -> String {
-    match record {
-        Record::Vertex { at, .. } => format!("{} vertices", at.kind().name()),
-        Record::Edge { measurement, .. } if measurement.kind().is_pose() => {
-            format!("edges to a {}", measurement.kind().name())
+    /// Kind of a line in words, as in [`records`](Self::records).
+    pub fn kind_of(record: &Record) -> String {
+        match record {
+            Record::Vertex { at, .. } => format!("{} vertices", at.kind().name()),
+            Record::Edge { measurement, .. } if measurement.kind().is_pose() => {
+                format!("edges to a {}", measurement.kind().name())
+            }
+            Record::Edge { measurement, .. } => {
+                format!("sightings of a {}", measurement.kind().name())
+            }
+            Record::Fix { .. } => "fixed vertices".into(),
+            Record::SensorOffset { .. } => "sensor offsets".into(),
+            Record::GeodeticOrigin { .. } => "geodetic origins".into(),
+            Record::Linear(_) => "linear factors".into(),
+            Record::Measurement(measurement) => measurement.quantity.name().into(),
         }
-        Record::Edge { measurement, .. } => format!("sightings of a {}", measurement.kind().name()),
-        Record::Fix { .. } => "fixed vertices".into(),
-        Record::SensorOffset { .. } => "sensor offsets".into(),
-        Record::GeodeticOrigin { .. } => "geodetic origins".into(),
-        Record::Linear(_) => "linear factors".into(),
-        Record::Measurement(measurement) => measurement.quantity.name().into(),
     }
 }
 

@@ -2,91 +2,167 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use evergraph::model::{Point2, Point3, Pose2, Pose3, Value, VariableId};
-use evergraph::{Replayer, SmootherError};
+use evergraph::formats::{Document, Quantity, Record};
+use evergraph::model::{FactorId, Point2, Point3, Pose2, Pose3, Value, VariableId};
+use evergraph::replay::Replay;
+use evergraph::{Smoother, SmootherError};
+
+use super::layer::Place;
 
 /// A map from above.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Map {
-    /// The poses in the order in which they came in, a new line where no measurement leads from
-    /// an earlier one to a pose.
-    pub trajectory: Vec<Vec<[f64; 2]>>,
-    /// Ends of the measurements between any other two poses, each pair once.
-    pub closures: Vec<[[f64; 2]; 2]>,
-    pub landmarks: Vec<[f64; 2]>,
+    /// The poses by their ids, in the order in which they came in; a new line where no measurement
+    /// leads from an earlier one to a pose.
+    pub trajectory: Vec<Vec<(u64, Place)>>,
+    /// Measurements of two variables, in the order of the file's factors.
+    pub edges: Vec<Edge>,
+    pub landmarks: Vec<(u64, Place)>,
     pub in_space: bool,
 }
 
+/// A measurement of two variables.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Edge {
+    pub ends: [Place; 2],
+    pub kind: EdgeKind,
+    pub factor: FactorId,
+}
+
+/// What a measurement is to the map. Every one of the file has one kind, so that counts agree with it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum EdgeKind {
+    /// The first that leads from the pose before to a pose.
+    Motion,
+    /// Any other relative pose.
+    Closure,
+    /// Ranges, bearings and the like between poses.
+    Other,
+    /// Of a landmark.
+    Sighting,
+}
+
 impl Map {
-    /// The current estimate.
-    pub fn of(replayer: &Replayer) -> Result<Self, SmootherError> {
-        let estimates = replayer.smoother().estimates()?;
+    /// The estimate of `smoother` of what `replay` has brought in of `document`.
+    pub fn of(
+        replay: &Replay,
+        smoother: &Smoother,
+        document: &Document,
+    ) -> Result<Self, SmootherError> {
         let mut map = Self::default();
-        let mut poses: Vec<[f64; 2]> = Vec::new();
-        let mut place_of: HashMap<VariableId, usize> = HashMap::new();
-        for (_, variable) in replayer.replay().ids() {
-            let Ok(value) = estimates.value(variable) else { continue };
-            let Some(seen) = Seen::of(&value.to_value()) else { continue };
+        let mut poses: Vec<(u64, Place)> = Vec::new();
+        let mut seen_of: HashMap<VariableId, (Seen, usize)> = HashMap::new();
+        for (id, variable, seen) in seen(replay, smoother)? {
             map.in_space |= seen.in_space;
-            if seen.is_pose {
-                place_of.insert(variable, poses.len());
-                poses.push(seen.at);
-            } else {
-                map.landmarks.push(seen.at);
+            let list = if seen.is_pose { &mut poses } else { &mut map.landmarks };
+            seen_of.insert(variable, (seen, list.len()));
+            list.push((id, seen.at));
+        }
+        let records: HashMap<usize, &Record> =
+            document.lines().iter().map(|line| (line.number, &line.record)).collect();
+        // Edges that lead to each pose, by it and by the earlier one.
+        let mut motions: BTreeMap<[usize; 2], usize> = BTreeMap::new();
+        for &(factor, line) in replay.factors() {
+            // What was refused or removed is not in the graph.
+            let Ok(known) = smoother.graph().factor(factor) else { continue };
+            let [a, b] = known.keys() else { continue };
+            let (Some((a, at_a)), Some((b, at_b))) = (seen_of.get(a), seen_of.get(b)) else {
+                continue;
+            };
+            let is_relative = records.get(&line).is_some_and(|record| is_relative_pose(record));
+            let kind = match (a.is_pose && b.is_pose, is_relative) {
+                (true, true) => EdgeKind::Closure,
+                (true, false) => EdgeKind::Other,
+                (false, _) => EdgeKind::Sighting,
+            };
+            // A single number is no motion.
+            if kind == EdgeKind::Closure && known.residual_dim() > 1 {
+                let pair = [*at_a.max(at_b), *at_a.min(at_b)];
+                motions.entry(pair).or_insert(map.edges.len());
             }
+            map.edges.push(Edge { ends: [a.at, b.at], kind, factor });
         }
-        // How many numbers each pair of poses was measured by.
-        let mut pairs: BTreeMap<[usize; 2], usize> = BTreeMap::new();
-        for (_, factor) in replayer.graph().factors() {
-            let [a, b] = factor.keys() else { continue };
-            let (Some(&a), Some(&b)) = (place_of.get(a), place_of.get(b)) else { continue };
-            *pairs.entry([a.max(b), a.min(b)]).or_default() += factor.residual_dim();
-        }
-        map.connect(&poses, &pairs);
+        map.connect(&poses, &motions);
         Ok(map)
     }
 
-    /// Makes lines of the poses; `pairs` holds the later of two poses first. Each pose goes on from
+    /// Makes lines of the poses; `motions` holds the later of two poses first. Each pose goes on from
     /// the latest one that it is measured from and that none goes on from yet, so that robots that
-    /// drive at once have a line each. A range alone is no motion.
-    fn connect(&mut self, poses: &[[f64; 2]], pairs: &BTreeMap<[usize; 2], usize>) {
+    /// drive at once have a line each.
+    fn connect(&mut self, poses: &[(u64, Place)], motions: &BTreeMap<[usize; 2], usize>) {
         // The line that ends at a pose.
         let mut ends: HashMap<usize, usize> = HashMap::new();
-        for (place, &at) in poses.iter().enumerate() {
-            let mut before: Vec<usize> = Vec::new();
-            let mut line = None;
-            for ([_, earlier], rows) in pairs.range([place, 0]..[place + 1, 0]).rev() {
-                if line.is_none() && *rows > 1 {
-                    line = ends.remove(earlier);
-                    if line.is_some() {
-                        continue;
-                    }
-                }
-                before.push(*earlier);
-            }
-            self.closures.extend(before.iter().rev().map(|&earlier| [poses[earlier], at]));
-            let line = line.unwrap_or_else(|| {
+        for (place, &pose) in poses.iter().enumerate() {
+            let mut before = motions.range([place, 0]..[place, place]).rev();
+            let found = before.find_map(|([_, earlier], edge)| Some((ends.remove(earlier)?, edge)));
+            let line = if let Some((line, edge)) = found {
+                self.edges[*edge].kind = EdgeKind::Motion;
+                line
+            } else {
                 self.trajectory.push(Vec::new());
                 self.trajectory.len() - 1
-            });
-            self.trajectory[line].push(at);
+            };
+            self.trajectory[line].push(pose);
             ends.insert(place, line);
         }
     }
 
-    /// Everything that has to be seen.
-    pub fn points(&self) -> impl Iterator<Item = [f64; 2]> {
-        self.trajectory.iter().flatten().chain(&self.landmarks).copied()
-    }
-
-    pub fn poses(&self) -> usize {
-        self.trajectory.iter().map(Vec::len).sum()
+    /// The ends of all edges of a kind.
+    pub fn ends_of(&self, kind: EdgeKind) -> Vec<Vec<Place>> {
+        let of_kind = self.edges.iter().filter(|edge| edge.kind == kind);
+        of_kind.map(|edge| edge.ends.to_vec()).collect()
     }
 }
 
+/// Whether a line measures a relative pose, whole or in part, or stands for such measurements.
+fn is_relative_pose(record: &Record) -> bool {
+    match record {
+        Record::Edge { measurement, .. } => measurement.kind().is_pose(),
+        Record::Measurement(it) => matches!(
+            it.quantity,
+            Quantity::Relative | Quantity::Partial | Quantity::TranslationDifference
+        ),
+        Record::Linear(_) => true,
+        _ => false,
+    }
+}
+
+/// Where the variables are that a file knows by ids, poses and landmarks apart.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Places {
+    pub poses: HashMap<u64, Place>,
+    pub landmarks: HashMap<u64, Place>,
+}
+
+impl Places {
+    /// Those that are in the graph of `smoother`, by its estimate.
+    pub fn of(replay: &Replay, smoother: &Smoother) -> Result<Self, SmootherError> {
+        let mut places = Self::default();
+        for (id, _, seen) in seen(replay, smoother)? {
+            let list = if seen.is_pose { &mut places.poses } else { &mut places.landmarks };
+            list.insert(id, seen.at);
+        }
+        Ok(places)
+    }
+}
+
+fn seen(
+    replay: &Replay,
+    smoother: &Smoother,
+) -> Result<Vec<(u64, VariableId, Seen)>, SmootherError> {
+    let estimates = smoother.estimates()?;
+    let seen = replay.ids().filter_map(|(id, variable)| {
+        // What is no longer in the graph has no estimate.
+        let value = estimates.value(variable).ok()?.to_value();
+        Some((id, variable, Seen::of(&value)?))
+    });
+    Ok(seen.collect())
+}
+
 /// A variable from above.
+#[derive(Clone, Copy, Debug)]
 struct Seen {
-    at: [f64; 2],
+    at: Place,
     is_pose: bool,
     in_space: bool,
 }

@@ -4,7 +4,9 @@
 //! on whole pixels and write an element for each line.
 
 mod axes;
+mod layer;
 mod map;
+pub(crate) mod pictures;
 #[cfg(feature = "png")]
 mod png;
 mod svg;
@@ -15,15 +17,17 @@ use crate::error::Error;
 use crate::files;
 use crate::steps::StepName;
 use axes::{Panel, Scale};
+use layer::{BLACK, BLUE, Layer, Marks, VERMILION};
 use svg::{Anchor, Pen, Svg};
 
-pub(crate) use map::Map;
+pub(crate) use map::{Map, Places};
+pub(crate) use pictures::Picture;
 
 /// Of the picture, and of its panels, in pixels.
 const WIDTH: u32 = 1200;
 const LEFT: f64 = 105.0;
 const RIGHT: f64 = 1165.0;
-const MAP_TOP: f64 = 128.0;
+const MAP_TOP: f64 = 150.0;
 const MAP_BOTTOM: f64 = 1028.0;
 const TIMES_TOP: f64 = 1130.0;
 const TIMES_BOTTOM: f64 = 1440.0;
@@ -31,12 +35,6 @@ const TIMES_BOTTOM: f64 = 1440.0;
 const BELOW: f64 = 60.0;
 /// Room around what the map shows, as a share of its extent.
 const MARGIN: f64 = 0.04;
-
-/// Colours that everybody can tell apart: M. Okabe and K. Ito, "Color universal design" (2008).
-const BLUE: &str = "#0072b2";
-const VERMILION: &str = "#d55e00";
-const GREEN: &str = "#009e73";
-const BLACK: &str = "#000";
 
 /// A path that names a picture.
 #[derive(Clone, Debug)]
@@ -86,7 +84,7 @@ pub(crate) struct Plot {
     pub title: String,
     /// What the map costs, and in which convention.
     pub subtitle: [String; 2],
-    pub map: Map,
+    pub map: Picture,
     /// Kind and milliseconds of each step; without it there is no second panel.
     pub times: Option<Vec<(StepName, f64)>>,
 }
@@ -119,33 +117,29 @@ impl Plot {
     }
 
     fn draw_map(&self, svg: &mut Svg) {
-        let Map { trajectory, closures, landmarks, in_space } = &self.map;
-        let line = |class, colour, width, opacity| Pen { class, colour, width, opacity };
-        let driven = line("trajectory", BLUE, 1.4, 1.0);
-        let closed = line("closures", VERMILION, 1.0, 0.6);
-        let seen = line("landmarks", GREEN, 5.0, 0.9);
-        let lone = line("poses", BLUE, 4.0, 1.0);
-
-        let panel = equal_axes(self.map.points());
+        let Picture { layers, in_space } = &self.map;
+        let panel = equal_axes(layers.iter().flat_map(Layer::places));
         let view = if *in_space { " [m] (seen from above)" } else { " [m]" };
         panel.draw(svg, ["x", view], ["y", " [m]"]);
-        svg.lines(closed, closures.iter().map(|ends| ends.map(|at| panel.place(at))));
-        svg.lines(driven, trajectory.iter().map(|line| line.iter().map(|&at| panel.place(at))));
-        // A line of one point is none.
-        let points = trajectory.iter().filter(|line| line.len() == 1).flatten();
-        svg.dots(lone, points.map(|&at| panel.place(at)));
-        svg.dots(seen, landmarks.iter().map(|&at| panel.place(at)));
-
-        let mut entries = vec![(driven, format!("trajectory ({} poses)", self.map.poses()))];
-        if !closures.is_empty() {
-            entries.push((
-                line("key", VERMILION, 2.0, 1.0),
-                format!("loop closures ({})", closures.len()),
-            ));
-        }
-        if !landmarks.is_empty() {
-            entries
-                .push((line("key", GREEN, 8.0, 1.0), format!("landmarks ({})", landmarks.len())));
+        let mut entries = Vec::new();
+        for Layer { pen, marks, label } in layers {
+            let mut key = *pen;
+            match marks {
+                Marks::Lines(lines) => {
+                    let places = |line: &Vec<[f64; 2]>| {
+                        line.iter().map(|&at| panel.place(at)).collect::<Vec<_>>()
+                    };
+                    svg.lines(*pen, lines.iter().map(places));
+                    key.width = pen.width.clamp(2.0, 4.0);
+                }
+                Marks::Dots(dots) => {
+                    svg.dots(*pen, dots.iter().map(|&at| panel.place(at)));
+                    key.width = pen.width.max(8.0);
+                }
+            }
+            if let Some(label) = label {
+                entries.push((key, label.clone()));
+            }
         }
         legend(svg, MAP_TOP - 12.0, entries);
     }
@@ -188,7 +182,7 @@ fn draw_times(times: &[(StepName, f64)], svg: &mut Svg) {
     let mut entries = Vec::new();
     for (name, class, text, colour, width) in [
         (StepName::Explore, "explore", "new ground", BLUE, 2.2),
-        (StepName::Loop, "loop", "loop closed", VERMILION, 2.6),
+        (StepName::Loop, "loop", "known ground", VERMILION, 2.6),
         (StepName::Batch, "batch", "batch", BLACK, 5.0),
     ] {
         let of_kind = times.iter().enumerate().filter(|(_, (kind, _))| *kind == name);
@@ -206,13 +200,24 @@ fn draw_times(times: &[(StepName, f64)], svg: &mut Svg) {
     legend(svg, TIMES_TOP - 12.0, entries);
 }
 
-/// A row of samples with what they stand for.
+/// Samples with what they stand for, in rows of which the last is at `y`.
 fn legend(svg: &mut Svg, y: f64, entries: Vec<(Pen, String)>) {
     const SIZE: u32 = 15;
     /// Of a letter, about, as a share of the size.
     const ADVANCE: f64 = 0.55;
-    let mut x = LEFT;
+    const ROW: f64 = 21.0;
+    let (mut x, mut row) = (LEFT, 0.0);
+    let mut placed = Vec::new();
     for (pen, text) in entries {
+        let width = 36.0 + ADVANCE * f64::from(SIZE) * text.chars().count() as f64;
+        if x > LEFT && x + width > RIGHT {
+            (x, row) = (LEFT, row + 1.0);
+        }
+        placed.push((x, row, pen, text));
+        x += width + 30.0;
+    }
+    for (x, its_row, pen, text) in placed {
+        let y = y - (row - its_row) * ROW;
         let pen = Pen { class: "key", opacity: 1.0, ..pen };
         let middle = y - 5.0;
         if pen.width > 4.0 {
@@ -221,7 +226,6 @@ fn legend(svg: &mut Svg, y: f64, entries: Vec<(Pen, String)>) {
             svg.lines(pen, [[[x, middle], [x + 28.0, middle]]]);
         }
         svg.text([x + 36.0, y], SIZE, Anchor::Start, &text);
-        x += 36.0 + ADVANCE * f64::from(SIZE) * text.chars().count() as f64 + 30.0;
     }
 }
 
@@ -241,7 +245,11 @@ mod tests {
 
     #[test]
     fn nothing_at_all_and_absurd_extents_are_drawn() {
-        let map = |points: &[[f64; 2]]| Map { trajectory: vec![points.to_vec()], ..Map::default() };
+        let pen = Pen { class: "trajectory", colour: BLUE, width: 1.0, opacity: 1.0 };
+        let map = |points: &[[f64; 2]]| Picture {
+            layers: vec![Layer::lines(pen, vec![points.to_vec()])],
+            in_space: false,
+        };
         for points in [&[][..], &[[3.0, 4.0]], &[[-1e308, 0.0], [1e308, 1e-300]]] {
             let plot = Plot {
                 title: "<&>".into(),

@@ -1,6 +1,6 @@
 //! What is asked for.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use evergraph::formats::{Dialect, Document, WriteOptions};
@@ -12,6 +12,7 @@ use crate::error::Error;
 use crate::files;
 use crate::nodes::Choice;
 use crate::options::{Common, Policy, Solving, StartFrom};
+use crate::plot::PlotPath;
 use crate::reading::Reading;
 
 const EXAMPLES: &str = "\
@@ -158,6 +159,9 @@ pub(crate) struct Arguments {
     /// Write the reduced graph with its optimum as vertices; .g2o, .graph, .toro, .txt (iSAM) or .pyfg
     #[arg(long, short, value_name = "FILE", help_heading = "Output")]
     pub(super) output: Option<PathBuf>,
+    /// Draw what is left over the full graph, the removed nodes, and how far the others moved; .svg or .png
+    #[arg(long, value_name = "FILE", value_parser = PlotPath::parse, help_heading = "Output")]
+    pub(super) plot: Option<PlotPath>,
     #[command(flatten)]
     pub(super) reading: Reading,
     #[command(flatten)]
@@ -208,8 +212,10 @@ impl Arguments {
 
     /// Whether everything can be written, as far as that can be known before the work.
     pub(super) fn check_targets(&self, document: &Document) -> Result<(), Error> {
-        let targets = || [&self.output, &self.common.report].into_iter().flatten();
-        files::check_distinct("remove", targets().map(PathBuf::as_path))?;
+        let plot = self.plot.as_ref().map(PlotPath::path);
+        let besides = || self.common.report.as_deref().into_iter().chain(plot);
+        let targets = || self.output.as_deref().into_iter().chain(besides());
+        files::check_distinct("remove", targets())?;
         let read = [Some(&self.file), self.choice.nodes.as_ref()];
         for target in targets() {
             files::check_apart("remove", read.into_iter().flatten().map(PathBuf::as_path), target)?;
@@ -226,7 +232,7 @@ impl Arguments {
             }
             files::check_output(path, document, WriteOptions::default())?;
         }
-        self.common.report.as_deref().map_or(Ok(()), |path: &Path| files::check_writable(path))
+        besides().try_for_each(files::check_writable)
     }
 
     /// For the report.

@@ -83,6 +83,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         divergence: divergence.map_err(|error| incomparable(&replayer, error))?,
     };
 
+    if let Some(path) = &arguments.plot {
+        let title = report::file_name(&arguments.file);
+        let (full, reduced) = ((&replayer, &full, &document), (&replayer, &reduced));
+        reduction.plot("remove", title, full, reduced)?.save(path)?;
+    }
+
     let summary = Summary::of(&thinning, &replayer);
     let mut report = Map::new();
     let dataset = report::file_name(&arguments.file);

@@ -316,7 +316,11 @@ impl<'a> Converter<'a> {
         match measurement.ends.iter().find(misleads) {
             Some((id, kind)) if named => Err(check::bad(
                 place,
-                format!("without a VERTEX line nothing would say that {id} is a {}", kind.name()),
+                format!(
+                    "without a VERTEX line nothing would say that {} is a {}",
+                    names::spell_id(*id),
+                    kind.name()
+                ),
             )),
             _ => Ok(()),
         }
