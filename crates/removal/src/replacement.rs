@@ -173,12 +173,14 @@ impl Maker<'_> {
         })
     }
 
-    /// Whether the tree loses more than the pairs that only a dense factor joins are worth ([`Topology::Auto`]).
+    /// Whether the tree loses more than the pairs are worth that only a dense factor joins ([`Topology::Auto`]).
     fn is_dense_better(&self, potentials: &[Potential]) -> bool {
+        /// For each pair.
+        const NATS: f64 = 1e-3;
         let n = self.target.members.len();
         let pairs = ((n - 1) * (n - 2) / 2) as f64;
-        let divergence = Whitened::of(self.target, potentials).divergence();
-        divergence > self.options.nats_per_pair * pairs
+        n <= self.options.dense_up_to
+            && Whitened::of(self.target, potentials).divergence() > NATS * pairs
     }
 
     /// Terms as consistent as was asked for.

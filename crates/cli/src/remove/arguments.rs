@@ -123,10 +123,9 @@ pub(crate) struct Arguments {
     /// Which neighbours the new factors join [default: auto; of the modes paper and isam: tree]
     #[arg(long, value_enum)]
     topology: Option<TopologyName>,
-    /// With --topology auto, nats that a tree may lose for each pair of neighbours that a dense factor would join in
-    /// addition
-    #[arg(long, value_name = "NATS", default_value_t = Options::default().nats_per_pair)]
-    nats_per_pair: f64,
+    /// With --topology auto, the most neighbours that one dense factor joins
+    #[arg(long, value_name = "N", default_value_t = Options::default().dense_up_to)]
+    dense_up_to: usize,
     /// Whether new factors may claim more than was known
     #[arg(long, value_enum, default_value = "none")]
     consistency: ConsistencyName,
@@ -183,7 +182,7 @@ impl Arguments {
                 Some(TopologyName::Tree) => Topology::ChowLiu,
                 None => rules.topology,
             })
-            .with_nats_per_pair(self.nats_per_pair)
+            .with_dense_up_to(self.dense_up_to)
             .with_consistency(self.consistency.into())
             .with_recovery(match self.recovery {
                 RecoveryName::Glc => Recovery::Glc,
