@@ -57,12 +57,13 @@ mod map;
 mod nonzeros;
 mod reduced;
 mod relative;
+mod rotation;
 mod size;
 mod start;
 mod statistics;
 
 pub use absolute::{AbsoluteError, PoseError};
-pub use alignment::{Aligned, Alignment, Similarity};
+pub use alignment::{Aligned, Alignment, Ambiguity, Similarity};
 pub use anchor::anchor_alike;
 pub use association::{Association, PosePair, PosePairs};
 pub use divergence::{Divergence, DivergenceError, Solved};
