@@ -101,7 +101,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     warn_of_ends(&[("reduced", &batch)], output);
 
     let mut rows = Rows::new("data set", &dataset);
-    summary.show(&mut rows);
+    summary.show(&mut rows, arguments.largest_blanket);
     reduction.show(&mut rows);
     rows.add("optimized again", reduction::ended(&batch));
     rows.add("total time", milliseconds(1e3 * begun.elapsed().as_secs_f64()));

@@ -11,10 +11,69 @@ use serde_json::{Map, Value, json};
 use crate::report::Spread;
 use crate::table::{Rows, number};
 
+/// Why a node stays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Reason {
+    /// A direction of the map would be free.
+    Rank,
+    /// It shares no factor with a node that stays.
+    NoBlanket,
+    /// Its neighbours have more dimensions than `--largest-blanket`.
+    LargeBlanket,
+    /// A graph keeps a pose.
+    LastPose,
+    /// The factor in its place cannot be made.
+    NotRepresentable,
+}
+
+impl Reason {
+    const ALL: [Self; 5] =
+        [Self::Rank, Self::LargeBlanket, Self::NoBlanket, Self::LastPose, Self::NotRepresentable];
+
+    fn of(needed: &Needed) -> Self {
+        match needed {
+            Needed::Applied(_) => Self::Rank,
+            Needed::Planned(RemovalError::LastPose { .. }) => Self::LastPose,
+            Needed::Planned(RemovalError::NoBlanket { .. }) => Self::NoBlanket,
+            Needed::Planned(RemovalError::LargeBlanket { .. }) => Self::LargeBlanket,
+            _ => Self::NotRepresentable,
+        }
+    }
+
+    /// In the report.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Rank => "rank",
+            Self::NoBlanket => "no_blanket",
+            Self::LargeBlanket => "large_blanket",
+            Self::LastPose => "last_pose",
+            Self::NotRepresentable => "not_representable",
+        }
+    }
+
+    /// In the table; `largest` is the value of `--largest-blanket`.
+    fn describe(self, largest: usize) -> String {
+        match self {
+            Self::Rank => "kept for rank".into(),
+            Self::NoBlanket => "kept, without neighbours".into(),
+            Self::LargeBlanket => format!("kept, neighbours beyond --largest-blanket {largest}"),
+            Self::LastPose => "kept, the last pose".into(),
+            Self::NotRepresentable => "kept, no factor can replace it (--recovery)".into(),
+        }
+    }
+}
+
+/// A node that stays.
+struct Kept {
+    id: u64,
+    reason: Reason,
+    message: String,
+}
+
 /// Counts, prices and times of the removals.
 pub(super) struct Summary {
     ids: Vec<u64>,
-    kept: Vec<(u64, &'static str, String)>,
+    kept: Vec<Kept>,
     fallbacks: usize,
     largest_blanket: usize,
     price: Option<f64>,
@@ -30,20 +89,15 @@ impl Summary {
             replayer.replay().ids().map(|(id, variable)| (variable, id)).collect();
         let id = |variable: &VariableId| ids.get(variable).copied().unwrap_or(u64::MAX);
         let removed = || thinning.removed.iter();
-        let why = |needed: &Needed| match needed {
-            Needed::Applied(_) => "singular",
-            Needed::Planned(RemovalError::LastPose { .. }) => "last_pose",
-            Needed::Planned(RemovalError::NoBlanket { .. }) => "no_blanket",
-            Needed::Planned(RemovalError::LargeBlanket { .. }) => "large_blanket",
-            _ => "not_representable",
-        };
         Self {
             ids: removed().map(|it| id(&it.variable)).collect(),
             kept: thinning
                 .kept
                 .iter()
-                .map(|(variable, needed)| {
-                    (id(variable), why(needed), replayer.explain_needed(needed))
+                .map(|(variable, needed)| Kept {
+                    id: id(variable),
+                    reason: Reason::of(needed),
+                    message: replayer.explain_needed(needed),
                 })
                 .collect(),
             fallbacks: removed().filter(|it| it.fallback.is_some()).count(),
@@ -57,13 +111,18 @@ impl Summary {
     }
 
     pub(super) fn add_to(&self, report: &mut Map<String, Value>) {
-        let kept = self.kept.iter().map(
-            |(id, reason, message)| json!({ "variable": id, "reason": reason, "message": message }),
-        );
+        let kept = self.kept.iter().map(|Kept { id, reason, message }| {
+            json!({ "variable": id, "reason": reason.name(), "message": message })
+        });
+        let counts = Reason::ALL.map(|reason| {
+            let count = self.kept.iter().filter(|kept| kept.reason == reason).count();
+            (reason.name().to_string(), json!(count))
+        });
         for (field, value) in [
             ("removed", json!(self.ids.len())),
             ("removed_ids", json!(self.ids)),
-            ("kept_for_rank", kept.collect()),
+            ("kept", kept.collect()),
+            ("kept_counts", counts.into_iter().collect::<Map<_, _>>().into()),
             ("fallbacks", json!(self.fallbacks)),
             ("largest_blanket", json!(self.largest_blanket)),
             ("price_sum", json!(self.price)),
@@ -76,16 +135,17 @@ impl Summary {
         }
     }
 
-    pub(super) fn show(&self, rows: &mut Rows) {
-        const LISTED: usize = 5;
+    /// `largest` is the value of `--largest-blanket`.
+    pub(super) fn show(&self, rows: &mut Rows, largest: usize) {
         rows.add("removed", format!("{} nodes", self.ids.len()));
-        let mut kept: Vec<String> =
-            self.kept.iter().take(LISTED).map(|it| spell_id(it.0)).collect();
-        if self.kept.len() > LISTED {
-            kept.push("...".into());
+        for reason in Reason::ALL {
+            let kept: Vec<u64> =
+                self.kept.iter().filter(|it| it.reason == reason).map(|it| it.id).collect();
+            // Zero is worth saying of what the map would lose, not of what does not happen.
+            if !kept.is_empty() || reason == Reason::Rank {
+                rows.add(&reason.describe(largest), listed(&kept));
+            }
         }
-        let list = if kept.is_empty() { String::new() } else { format!(": {}", kept.join(", ")) };
-        rows.add("kept for rank", format!("{}{list}", self.kept.len()));
         rows.add("largest blanket", self.largest_blanket);
         rows.add("fallbacks", self.fallbacks);
         rows.add("a node", self.both.describe());
@@ -94,4 +154,14 @@ impl Summary {
         let price = self.price.map_or_else(|| "none".into(), |it| number(it) + " nats");
         rows.add("sum of prices", price);
     }
+}
+
+/// How many, and the first of them.
+fn listed(ids: &[u64]) -> String {
+    const LISTED: usize = 5;
+    let mut list: Vec<String> = ids.iter().take(LISTED).map(|id| spell_id(*id)).collect();
+    if ids.len() > LISTED {
+        list.push("...".into());
+    }
+    if list.is_empty() { "0".into() } else { format!("{}: {}", ids.len(), list.join(", ")) }
 }
