@@ -9,7 +9,6 @@ use evergraph_evaluate::{
 };
 use evergraph_formats::{Stamps, Trajectory};
 use evergraph_model::{LieGroup, Pose2, Pose3, Value};
-use nalgebra::Vector3;
 use proptest::collection::vec;
 use proptest::prelude::*;
 
