@@ -148,7 +148,7 @@ def exact(evergraph, table):
                     f"{percent} %, {order}", topology, recovery, offset, short(report["kld_covariance"]),
                     short(report["rms_shift_m"]), short(report["max_shift_m"]),
                     f"{report['factors_before']} to {report['factors_after']}", str(report["largest_blanket"]),
-                    str(len(report["kept_for_rank"])))
+                    str(len(report["kept"])))
 
 
 def time(evergraph, table):

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use evergraph::formats::{Document, Record};
 use evergraph::model::VariableId;
-use evergraph::removal::{Offset, Options, Recovery, Topology, shuffled};
+use evergraph::removal::{Offset, Options, Recovery, shuffled};
 use evergraph::{Replayer, Rules, Thinning, optimize_to_the_end};
 use rayon::prelude::*;
 

@@ -28,7 +28,7 @@ fn ours(pairs: &PosePairs) -> Vec<f64> {
     let mut values = vec![pairs.pairs().len() as f64];
     for alignment in [Alignment::None, Alignment::Rigid, Alignment::Similarity] {
         let aligned = pairs.align(alignment).unwrap();
-        assert!(aligned.unique);
+        assert_eq!(aligned.ambiguity, None);
         let error = AbsoluteError::of(pairs, &aligned.similarity).unwrap();
         values.extend(all(&error.translation));
         if alignment == Alignment::Rigid {

@@ -5,8 +5,7 @@ use std::time::Instant;
 
 use clap::Args;
 use evergraph::evaluate::{
-    Divergence, GraphSize, ReducedError, Solved, anchor_alike, components_gone, shared_values,
-    shared_variables,
+    GraphSize, ReducedError, Solved, anchor_alike, components_gone, shared_values, shared_variables,
 };
 use evergraph::formats::Document;
 use evergraph::replay::ReplayOptions;
@@ -94,20 +93,23 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         all.map_err(|source| Error::unsolvable(replayer, source))
     };
     let (was, is) = (estimates(&full)?, estimates(&reduced)?);
-    let divergence = Divergence::of(
-        Solved { graph: full.graph(), estimates: &was },
-        Solved { graph: reduced.graph(), estimates: &is },
+    let reduction = Reduction::of(
+        [
+            GraphSize::of(full.smoother(), &priors),
+            GraphSize::of(reduced.smoother(), &gauge_factors(&reduced)),
+        ],
+        [
+            Solved { graph: full.graph(), estimates: &was },
+            Solved { graph: reduced.graph(), estimates: &is },
+        ],
         &kept,
         &settings,
-    );
-    let reduction = Reduction {
-        before: GraphSize::of(full.smoother(), &priors),
-        after: GraphSize::of(reduced.smoother(), &gauge_factors(&reduced)),
-        divergence: divergence.map_err(|error| match error {
-            evergraph::evaluate::DivergenceError::Full(_) => incomparable(&full, error),
-            _ => incomparable(&reduced, error),
-        })?,
-    };
+        &full,
+    )
+    .map_err(|error| match error {
+        evergraph::evaluate::DivergenceError::Full(_) => incomparable(&full, error),
+        _ => incomparable(&reduced, error),
+    })?;
 
     if let Some(path) = &arguments.plot {
         let names = [&full, &reduced].map(|it| report::file_name(Path::new(it.name())));

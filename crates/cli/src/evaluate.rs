@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use evergraph::evaluate::{
-    AbsoluteError, Alignment, Association, EvaluateError, Fit, LandmarkError, PosePairs,
+    AbsoluteError, Alignment, Ambiguity, Association, EvaluateError, Fit, LandmarkError, PosePairs,
     RelativeError, RelativePairs, Statistics,
 };
 use evergraph::formats::Stamps;
@@ -28,7 +28,8 @@ Examples:
 
 A graph's fit to its own edges is told too, at its vertices as they are. Maps are g2o, TORO, iSAM or PyFactorGraph files with vertices (or noise-free edges), TUM or KITTI
 trajectories, told by their content. Poses are paired by id where both sides have ids, else by
-time, or an id in its place. As evo does:
+time, or an id in place of whole seconds. Maps of the plane are not compared with poses in space.
+Where positions determine no rotation (a robot in one place, a straight line), orientations do. As evo does:
   absolute error (ATE)  E_k = y_k^-1 (S x_k), x estimated, y true, S the alignment
   relative error (RPE)  E_k = (y_k^-1 y_k+D)^-1 (x_k^-1 x_k+D)";
 
@@ -147,7 +148,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
             "all_pairs": arguments.all_pairs,
             "reading": arguments.reading.json(),
         },
-        "alignment": { "scale": aligned.similarity.scale, "unique": aligned.unique },
+        "alignment": { "scale": aligned.similarity.scale, "undetermined": aligned.ambiguity.map(undetermined) },
         "ate": { "translation": absolute.translation, "rotation": absolute.rotation },
         "rpe": relative.map_or(Value::Null, |it| json!(it)),
         "landmarks": landmarks.map_or(Value::Null, |it| json!(it)),
@@ -167,8 +168,18 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     report::save(common.report.as_deref(), &report)?;
 
     let output = common.output();
-    if !aligned.unique {
-        output.warn(&"the positions of one side are all the same or lie on a line: the alignment is one of many, and errors of rotation mean little");
+    if let Some(ambiguity) = aligned.ambiguity {
+        let scale = if arguments.align == Align::Scale { " and no scale" } else { "" };
+        output.warn(&match ambiguity {
+            Ambiguity::Line => String::from(
+                "the positions of one side lie on a line, about which they determine no rotation; it is \
+                 taken from the orientations"
+            ),
+            _ => format!(
+                "the positions determine no rotation{scale}: those of one side stay in one place, or both are no \
+                 more alike than noise; the rotation is taken from the orientations"
+            ),
+        });
     }
     let mut rows = Rows::new("map", &dataset);
     rows.add("truth", report::file_name(&arguments.truth));
@@ -194,6 +205,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     fit::show(&fit, &mut rows);
     output.result(&rows)?;
     fit::tell(&fit, common.verbose > 0, output)
+}
+
+/// What the positions leave open, in a word.
+fn undetermined(ambiguity: Ambiguity) -> &'static str {
+    match ambiguity {
+        Ambiguity::Line => "rotation_about_line",
+        _ => "rotation_and_scale",
+    }
 }
 
 /// The relative error; a single pose has none, which is no failure unless a distance was asked for.

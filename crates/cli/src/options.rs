@@ -56,12 +56,12 @@ fn prior(text: &str) -> Result<Prior, String> {
     }
     match text.parse::<f64>() {
         Ok(sigma) if SIGMAS.contains(&sigma) => Ok(Prior(Some(sigma))),
-        _ => Err("give `none` or a standard deviation between 1e-150 and 1e150 (m and rad)".into()),
+        _ => Err("give `none` or a standard deviation between 1e-75 and 1e75 (m and rad)".into()),
     }
 }
 
-/// Whose squares, and their inverses, are numbers.
-const SIGMAS: RangeInclusive<f64> = 1e-150..=1e150;
+/// Whose fourth powers, and their inverses, are numbers.
+const SIGMAS: RangeInclusive<f64> = 1e-75..=1e75;
 
 /// Where the linear part of a kernel begins when not told: 95 % of the efficiency of least squares
 /// on noise without outliers (Huber 1981).

@@ -1,9 +1,9 @@
 //! What `remove` and `compare` say of two graphs.
 
-use evergraph::evaluate::{Divergence, DivergenceError, GraphSize};
-use evergraph::formats::Document;
+use evergraph::evaluate::{Consistency, Divergence, DivergenceError, GraphSize, Solved};
+use evergraph::formats::{Document, spell_id};
 use evergraph::model::{FactorId, VariableId};
-use evergraph::solver::{BatchReport, Status as BatchStatus};
+use evergraph::solver::{BatchReport, Settings, Status as BatchStatus};
 use evergraph::{Replayer, Smoother};
 use serde_json::{Map, Value, json};
 
@@ -24,17 +24,37 @@ pub(crate) fn gauge_factors(replayer: &Replayer) -> Vec<FactorId> {
 }
 
 /// Two graphs and what is between them.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Reduction {
     pub before: GraphSize,
     pub after: GraphSize,
     pub divergence: Divergence,
+    pub consistency: Consistency,
+    /// The id of the variable whose marginal is worst, as the file spells it.
+    pub worst: String,
 }
 
 impl Reduction {
+    /// Compares a reduced graph with the full one, whose variables have the ids of `replayer`.
+    pub(crate) fn of(
+        [before, after]: [GraphSize; 2],
+        [full, reduced]: [Solved<'_>; 2],
+        kept: &[(VariableId, VariableId)],
+        settings: &Settings,
+        replayer: &Replayer,
+    ) -> Result<Self, DivergenceError> {
+        let divergence = Divergence::of(full, reduced, kept, settings)?;
+        let consistency = Consistency::of(full, reduced, kept, settings)?;
+        let mut ids = replayer.replay().ids();
+        let worst = ids.find(|(_, variable)| *variable == consistency.worst.variable);
+        let worst =
+            worst.map_or_else(|| consistency.worst.variable.to_string(), |it| spell_id(it.0));
+        Ok(Self { before, after, divergence, consistency, worst })
+    }
+
     /// Adds the fields that both subcommands have.
     pub(crate) fn add_to(&self, report: &mut Map<String, Value>) {
-        let Self { before, after, divergence } = self;
+        let Self { before, after, divergence, .. } = self;
         for (field, pair) in [
             ("variables", [before.variables, after.variables]),
             ("factors", [before.factors, after.factors]),
@@ -52,6 +72,9 @@ impl Reduction {
             ("kld_mean", json!(divergence.mean)),
             ("kld_total", json!(divergence.total)),
             ("log_det_ratio", json!(divergence.log_det_ratio)),
+            ("is_conservative", json!(self.consistency.is_conservative())),
+            ("consistency", json!(self.consistency)),
+            ("worst_variable", json!(self.worst)),
             ("mean_shift_m", json!(divergence.mean_shift_m)),
             ("rms_shift_m", json!(divergence.rms_shift_m)),
             ("max_shift_m", json!(divergence.max_shift_m)),
@@ -72,7 +95,7 @@ impl Reduction {
         let map = map.map_err(|source| Error::unsolvable(full, source))?;
         let places = Places::of(reduced.replay(), kept);
         let places = places.map_err(|source| Error::unsolvable(reduced, source))?;
-        let Self { before, after, divergence } = self;
+        let Self { before, after, divergence, .. } = self;
         let [rms, total] = [divergence.rms_shift_m, divergence.total].map(number);
         let (from, to) = (before.variables, after.variables);
         let subtitle = [
@@ -83,9 +106,31 @@ impl Reduction {
         Ok(Plot { title, subtitle, map, times: None })
     }
 
+    /// Whether the reduced graph claims too much, and where.
+    fn describe_consistency(&self) -> String {
+        let Consistency { largest_eigenvalue, variables, overconfident, ref worst, .. } =
+            self.consistency;
+        if self.consistency.is_conservative() {
+            return "yes, in every direction".into();
+        }
+        let percent = |share: f64| number(100.0 * share);
+        if overconfident == 0 {
+            let claimed = percent(1.0 - largest_eigenvalue.sqrt().recip());
+            return format!("no: marginals are, but a joint deviation is {claimed} % too small");
+        }
+        let direction: Vec<String> = worst.direction.iter().map(|x| format!("{x:.2}")).collect();
+        format!(
+            "no: {overconfident} of {variables} marginals are too small, that of {} most: its deviation \
+             along ({}) by {} %",
+            self.worst,
+            direction.join(", "),
+            percent(1.0 - worst.deviation_ratio)
+        )
+    }
+
     /// Adds the rows that both subcommands show: sizes, then figures.
     pub(crate) fn show(&self, rows: &mut Rows) {
-        let Self { before, after, divergence } = self;
+        let Self { before, after, divergence, .. } = self;
         let change = |from: usize, to: usize| format!("{from} to {to}");
         rows.add("variables", change(before.variables, after.variables));
         rows.add("factors", change(before.factors, after.factors));
@@ -97,7 +142,8 @@ impl Reduction {
         rows.add("KLD, covariance", format!("{} nats, {each} for each of {n}", number(covariance)));
         rows.add("KLD, mean", format!("{} nats", number(mean)));
         rows.add("KLD", format!("{} nats", number(total)));
-        rows.add("ln det ratio", number(log_det_ratio));
+        rows.add("ln det ratio", number(log_det_ratio) + ", positive: less is known");
+        rows.add("conservative", self.describe_consistency());
         let Divergence { mean_shift_m, rms_shift_m, max_shift_m, .. } = *divergence;
         let [mean, rms, max] = [mean_shift_m, rms_shift_m, max_shift_m].map(number);
         rows.add("shift [m]", format!("mean {mean}, rms {rms}, max {max}"));

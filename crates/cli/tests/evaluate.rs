@@ -190,21 +190,64 @@ fn bad_lines_of_either_map_are_told() {
     assert_eq!(folder.run("evaluate map.g2o --truth truth.g2o --lenient -q").done().err, "");
 }
 
+/// `count` lines of a TUM file.
+fn tum(count: usize, line: impl Fn(f64) -> [f64; 3]) -> String {
+    let pose = |k| {
+        let [x, y, z] = line(f64::from(k));
+        format!("{k} {x} {y} {z} 0 0 0 1\n")
+    };
+    (0..count as u32).map(pose).collect()
+}
+
 #[test]
-fn a_robot_that_stands_still_has_no_scale_and_a_warning() {
-    let (mut estimate, mut truth) = (String::new(), String::new());
-    for k in 0..20 {
-        let t = f64::from(k);
-        estimate += &format!("{k} 0.1 0.2 0.3 0 0 0 1\n");
-        truth += &format!("{k} {} {} {} 0 0 0 1\n", t.cos(), (1.3 * t).sin(), (0.7 * t).sin());
+fn a_robot_that_stands_still_gets_no_scale_and_a_warning() {
+    let folder = Folder::new();
+    // Rounding of the mean must not be taken for a shape.
+    let still = tum(20, |_| [0.1, 0.2, 0.3]);
+    let around = tum(20, |k| [k.cos(), (k * 1.3).sin(), (0.7 * k).sin()]);
+    let noise =
+        |s: f64| tum(20, move |k| [1.0 + 1e-3 * (s * k).sin(), 1e-3 * (s * k * k).cos(), 2.0]);
+    for (estimate, truth) in
+        [(&still, &around), (&around, &still), (&still, &still), (&noise(7.3), &noise(3.1))]
+    {
+        folder.write("map.tum", estimate);
+        folder.write("truth.tum", truth);
+        for align in ["rigid", "scale"] {
+            let line = "evaluate map.tum --truth truth.tum --report out.json --align";
+            let ran = folder.run(&format!("{line} {align}")).done();
+            assert!(ran.err.contains("determine no rotation"), "{}", ran.err);
+            assert_eq!(ran.err.contains("no scale"), align == "scale", "{}", ran.err);
+            let report = folder.json("out.json");
+            assert_eq!(report["alignment"]["undetermined"], "rotation_and_scale");
+            assert_eq!(number(&report["alignment"], "scale"), 1.0);
+            assert!(number(&report["ate"]["rotation"], "rmse") < 1e-9);
+        }
     }
-    let folder = Folder::with("estimate.tum", &estimate);
-    folder.write("truth.tum", &truth);
-    let ran = folder.run("evaluate estimate.tum --truth truth.tum --report out.json").done();
-    assert!(ran.err.contains("all the same"), "{}", ran.err);
+}
+
+#[test]
+fn positions_on_a_line_leave_the_rotation_about_it() {
+    let folder = Folder::with("map.tum", &tum(20, |k| [k, 2.0 * k, 0.5 * k]));
+    folder.write("truth.tum", &tum(20, |k| [k + 3.0, 2.0 * k, 0.5 * k]));
+    let ran = folder.run("evaluate map.tum --truth truth.tum --report out.json").done();
+    assert!(ran.err.contains("lie on a line"), "{}", ran.err);
     let report = folder.json("out.json");
-    assert_eq!(report["alignment"]["unique"], false);
-    assert!(number(&report["ate"]["rotation"], "rmse") < 1e-12);
-    let scaled = folder.run("evaluate estimate.tum --truth truth.tum --align scale");
-    scaled.failed(1, &["no scale"]);
+    assert_eq!(report["alignment"]["undetermined"], "rotation_about_line");
+    assert!(number(&report["ate"]["translation"], "rmse") < 1e-9);
+    assert!(number(&report["ate"]["rotation"], "rmse") < 1e-9);
+}
+
+#[test]
+fn maps_that_cannot_be_compared_are_an_error() {
+    let folder = Folder::with("plane.g2o", TRUTH);
+    folder.write("space.tum", &tum(4, |k| [k, 0.0, 0.1 * k]));
+    folder.write("stamped.tum", "10.25 0 0 0 0 0 0 1\n11.5 1 0 0 0 0 0 1\n");
+    for (a, b) in [("plane.g2o", "space.tum"), ("space.tum", "plane.g2o")] {
+        let ran = folder.run(&format!("evaluate {a} --truth {b}"));
+        ran.failed(1, &["plane.g2o", "space.tum", "poses of the plane", "poses in space"]);
+    }
+    for (a, b) in [("plane.g2o", "stamped.tum"), ("stamped.tum", "plane.g2o")] {
+        let ran = folder.run(&format!("evaluate {a} --truth {b}"));
+        ran.failed(1, &["plane.g2o", "stamped.tum", "time stamps", "--times"]);
+    }
 }

@@ -166,8 +166,8 @@ fn usage_errors_end_with_2() {
         ("completions", "SHELL"),
         ("completions cmd", "cmd"),
         ("replay two.g2o --prior -1", "standard deviation"),
-        ("replay two.g2o --prior 1e-160", "between 1e-150 and 1e150"),
-        ("replay two.g2o --prior 1e160", "between 1e-150 and 1e150"),
+        ("replay two.g2o --prior 1e-160", "between 1e-75 and 1e75"),
+        ("replay two.g2o --prior 1e160", "between 1e-75 and 1e75"),
         ("replay two.g2o --threads 0", "threads"),
         ("replay two.g2o --step-errors", "--steps"),
         ("replay two.g2o --quiet --verbose", "--quiet"),
@@ -245,21 +245,45 @@ fn py_factor_graph_is_read_and_written() {
     assert!(folder.read("map.pyfg").contains("VERTEX_SE2"));
 }
 
-/// Null stands for what a file does not have; an error that is no number is told.
 #[test]
-fn an_error_that_is_not_finite_is_told() {
-    let line = "EDGE_SE2 0 2 1e200 0 0 1 0 0 1 0 1\n";
-    let folder = Folder::with("far.g2o", &format!("{SQUARE}{line}"));
-    for convention in ["ours", "g2o"] {
-        let line = format!("info far.g2o --convention {convention} --report out.json");
-        let ran = folder.run(&line).done();
-        assert!(ran.out.contains("not finite") && ran.err.contains("not finite"), "{}", ran.err);
-        let report = folder.json("out.json");
-        assert!(report["at_vertices"].is_null() && report["at_odometry"].is_null(), "{report}");
-        let warnings = report["warnings"].as_array().unwrap();
-        assert_eq!(warnings.len(), 2, "{report}");
-        assert!(warnings.iter().all(|it| it.as_str().unwrap().contains("not finite")));
+fn numbers_whose_squares_overflow_are_told_with_their_line() {
+    let folder = Folder::new();
+    folder.write("truth.tum", "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n");
+    let last = SQUARE.lines().count() + 1;
+    let i6 = "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1";
+    for line in [
+        "EDGE_SE2 0 2 1e150 0 0 1 0 0 1 0 1",
+        "EDGE_SE2 0 2 0 0 0 1e200 0 0 1 0 1",
+        "VERTEX_SE2 9 0 -1e150 0",
+        "VERTEX_XY 9 1e150 0",
+        "EDGE_SE2_XY 0 9 1e150 0 1 0 1",
+        "EDGE_PRIOR_SE2_XY 0 1e150 0 1 0 1",
+        "EDGE_BEARING_SE2_XY 0 9 1e150 1",
+        "VERTEX_TRACKXYZ 9 0 0 1e150",
+        &format!("EDGE_SE3:QUAT 10 11 0 1e150 0 0 0 0 1 {i6}"),
+    ] {
+        folder.write("far.g2o", &format!("{SQUARE}{line}\n"));
+        for command in ["info", "optimize", "replay", "evaluate --truth truth.tum"] {
+            let ran = folder.run(&format!("{command} far.g2o"));
+            ran.failed(1, &[&format!("far.g2o:{last}"), "too large", "field"]);
+        }
     }
+    folder
+        .write("far.graph", "VERTEX2 0 0 0 0\nVERTEX2 1 1 0 0\nEDGE2 0 1 1e150 0 0 1 0 1 1 0 0\n");
+    folder.run("optimize far.graph").failed(1, &["far.graph:3", "`1e150`"]);
+    folder.write("far.txt", "EDGE2 0 1 1e150 0 0 1 0 0 1 0 1\n");
+    folder.run("optimize far.txt").failed(1, &["far.txt:1", "`1e150`"]);
+    folder.write("far.tum", "0 0 0 0 0 0 0 1\n1 1e150 0 0 0 0 0 1\n");
+    folder.run("evaluate far.tum --truth truth.tum").failed(1, &["far.tum:2", "`1e150`"]);
+}
+
+#[test]
+fn residuals_whose_squares_overflow_are_told_with_their_variables() {
+    let far =
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1e60 0 0\nEDGE_SE2 0 1 0 0 0 1e100 0 0 1e100 0 1e100\n";
+    let folder = Folder::with("far.g2o", far);
+    let ran = folder.run("optimize far.g2o --init file");
+    ran.failed(1, &["far.g2o", "between 0 and 1", "squares overflow"]);
 }
 
 #[test]

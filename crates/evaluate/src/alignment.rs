@@ -7,15 +7,13 @@
 //! minimize over R, t (and s)    Σₖ ‖yₖ - (s R xₖ + t)‖²
 //! ```
 //!
-//! (Umeyama 1991, equations 39 to 42). The rotation maximizes `Σ ỹₖᵀ R x̃ₖ` over the centered
-//! positions: in space it is the eigenvector to the largest eigenvalue of Horn's 4x4 matrix, which
-//! unlike a singular value decomposition never has to be turned back from a reflection; in the plane
-//! an arc tangent.
+//! (Umeyama 1991, equations 39 to 42; the rotation as in `rotation.rs`).
 
 use evergraph_model::{LieGroup, Point3, Pose3, Rot3};
-use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector3, Vector4};
+use nalgebra::Vector3;
 
-use crate::{EvaluateError, PosePairs};
+use crate::rotation::{Ambiguity, Shapes};
+use crate::{EvaluateError, PosePair, PosePairs};
 
 /// How an estimate is laid over the truth.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -66,29 +64,23 @@ impl Similarity {
 pub struct Aligned {
     /// `truth_from_estimate`.
     pub similarity: Similarity,
-    /// Whether no other rotation lays the positions over one another as well. It is false where the
-    /// positions of one side are all on one line in space, or all the same; then this is the
-    /// smallest such rotation, and errors of rotation mean little. Always true for
-    /// [`Alignment::None`] and [`Alignment::FirstPose`].
-    pub unique: bool,
+    /// Why other motions lay the positions over one another as well; none where this is the only one,
+    /// and for [`Alignment::None`] and [`Alignment::FirstPose`]. Of such rotations, this is the one that
+    /// suits the orientations best.
+    pub ambiguity: Option<Ambiguity>,
 }
 
-/// Below this share of the largest, two eigenvalues are one: what is left of the noise-free
-/// positions on a line after rounding is a hundred times smaller.
-const SAME: f64 = 1e-12;
-
-/// Below this share of the mean, a spread of positions is rounding.
-const ROUNDING: f64 = 1e-13;
+/// Below this share of the coordinates, differences of positions are rounding.
+const ROUNDING: f64 = 1e-12;
 
 impl PosePairs {
     /// The motion that lays the estimate over the truth.
     ///
     /// # Errors
-    /// [`EvaluateError::NoScale`] where the scale is asked for and all positions of one side are the
-    /// same; [`EvaluateError::Overflow`].
+    /// [`EvaluateError::Overflow`].
     pub fn align(&self, alignment: Alignment) -> Result<Aligned, EvaluateError> {
         let as_it_is =
-            |motion| Ok(Aligned { similarity: Similarity { scale: 1.0, motion }, unique: true });
+            |motion| Ok(Aligned { similarity: Similarity { scale: 1.0, motion }, ambiguity: None });
         match alignment {
             Alignment::None => as_it_is(Pose3::identity()),
             Alignment::FirstPose => {
@@ -101,32 +93,32 @@ impl PosePairs {
     }
 
     fn closest(&self, with_scale: bool) -> Result<Aligned, EvaluateError> {
-        let positions = |of: fn(&crate::PosePair) -> Pose3| -> Vec<Vector3<f64>> {
+        let positions = |of: fn(&PosePair) -> Pose3| -> Vec<Vector3<f64>> {
             self.pairs().iter().map(|pair| of(pair).translation().into()).collect()
         };
         let (mut x, mut y) = (positions(|pair| pair.estimate), positions(|pair| pair.truth));
         let (mean_x, mean_y) = (center(&mut x)?, center(&mut y)?);
         // In units of the largest coordinate, so that no product overflows or vanishes.
         let (unit_x, unit_y) = (normalize(&mut x), normalize(&mut y));
-        let correlation: Matrix3<f64> = x.iter().zip(&y).map(|(x, y)| x * y.transpose()).sum();
-        let best = if self.is_planar() {
-            in_plane(&correlation)
-        } else {
-            in_space(&correlation).ok_or(EvaluateError::Overflow)?
-        };
+        let still = unit_x <= ROUNDING * mean_x.amax() || unit_y <= ROUNDING * mean_y.amax();
+        let turns: Vec<Rot3> = self.pairs().iter().map(turn).collect();
+        let shapes = Shapes { x: &x, y: &y, turns: &turns, planar: self.is_planar(), still };
+        let best = shapes.best().ok_or(EvaluateError::Overflow)?;
         let spread: f64 = x.iter().map(Vector3::norm_squared).sum();
-        let scale = match with_scale {
-            false => 1.0,
-            true if best.correlation > 0.0 => (best.correlation / spread) * (unit_y / unit_x),
-            true => return Err(EvaluateError::NoScale),
-        };
+        let has_scale = with_scale && best.ambiguity != Some(Ambiguity::Still);
+        let scale = if has_scale { (best.correlation / spread) * (unit_y / unit_x) } else { 1.0 };
         let translation = mean_y - scale * best.rotation.rotate(&mean_x);
         if !(scale.is_finite() && translation.iter().all(|x| x.is_finite())) {
             return Err(EvaluateError::Overflow);
         }
         let motion = Pose3::new(best.rotation, translation);
-        Ok(Aligned { similarity: Similarity { scale, motion }, unique: best.unique })
+        Ok(Aligned { similarity: Similarity { scale, motion }, ambiguity: best.ambiguity })
     }
+}
+
+/// The rotation that brings one orientation onto the other.
+fn turn(pair: &PosePair) -> Rot3 {
+    pair.truth.rotation().compose(&pair.estimate.rotation().inverse())
 }
 
 /// Takes the mean off.
@@ -143,55 +135,11 @@ fn center(points: &mut [Vector3<f64>]) -> Result<Vector3<f64>, EvaluateError> {
     if finite { Ok(mean) } else { Err(EvaluateError::Overflow) }
 }
 
-/// Divides by the largest coordinate, if any is not zero, and returns what it divided by.
+/// Divides by the largest coordinate, if any is not zero, and returns it.
 fn normalize(points: &mut [Vector3<f64>]) -> f64 {
     let largest = points.iter().map(|point| point.amax()).fold(0.0, f64::max);
-    let unit = if largest > 0.0 { largest } else { 1.0 };
-    points.iter_mut().for_each(|point| *point /= unit);
-    unit
-}
-
-/// The best rotation.
-struct Best {
-    rotation: Rot3,
-    unique: bool,
-    /// `Σ ỹᵀ R x̃`.
-    correlation: f64,
-}
-
-/// About the z axis, for `correlation = Σ x̃ ỹᵀ`.
-fn in_plane(correlation: &Matrix3<f64>) -> Best {
-    let sin = correlation[(0, 1)] - correlation[(1, 0)];
-    let cos = correlation[(0, 0)] + correlation[(1, 1)];
-    let size = sin.hypot(cos);
-    let unique = size > SAME * correlation.norm();
-    let yaw = if unique { sin.atan2(cos) } else { 0.0 };
-    Best { rotation: Rot3::from_roll_pitch_yaw(0.0, 0.0, yaw), unique, correlation: size }
-}
-
-/// For `correlation = Σ x̃ ỹᵀ`: Horn (1987), section 4.
-fn in_space(correlation: &Matrix3<f64>) -> Option<Best> {
-    const MAX_ITERATIONS: usize = 1000;
-    let s = |i, j| correlation[(i, j)];
-    #[rustfmt::skip]
-    let horn = Matrix4::new(
-        s(0, 0) + s(1, 1) + s(2, 2), s(1, 2) - s(2, 1), s(2, 0) - s(0, 2), s(0, 1) - s(1, 0),
-        s(1, 2) - s(2, 1), s(0, 0) - s(1, 1) - s(2, 2), s(0, 1) + s(1, 0), s(2, 0) + s(0, 2),
-        s(2, 0) - s(0, 2), s(0, 1) + s(1, 0), s(1, 1) - s(0, 0) - s(2, 2), s(1, 2) + s(2, 1),
-        s(0, 1) - s(1, 0), s(2, 0) + s(0, 2), s(1, 2) + s(2, 1), s(2, 2) - s(0, 0) - s(1, 1),
-    );
-    let eigen = SymmetricEigen::try_new(horn, f64::EPSILON, MAX_ITERATIONS)?;
-    let largest = eigen.eigenvalues.max();
-    let same = SAME * eigen.eigenvalues.amax();
-    let space: Vec<Vector4<f64>> = (0..4)
-        .filter(|&k| eigen.eigenvalues[k] >= largest - same)
-        .map(|k| eigen.eigenvectors.column(k).into_owned())
-        .collect();
-    let unique = space.len() == 1;
-    // Of unit quaternions in a subspace, the one of the smallest angle is the identity's projection.
-    let projection: Vector4<f64> = space.iter().map(|v| v[0] * v).sum();
-    let half_turns_only = projection.norm() < 1e-8;
-    let q = if unique || half_turns_only { space[0] } else { projection };
-    let rotation = Rot3::from_quaternion(q[1], q[2], q[3], q[0]).ok()?;
-    Some(Best { rotation, unique, correlation: largest })
+    if largest > 0.0 {
+        points.iter_mut().for_each(|point| *point /= largest);
+    }
+    largest
 }

@@ -70,13 +70,22 @@ impl PosePairs {
     /// one may serve twice. This is what evo does.
     ///
     /// # Errors
-    /// [`EvaluateError::NoMatch`], [`EvaluateError::NoIds`], [`EvaluateError::BadSetting`] for a
+    /// [`EvaluateError::PlaneAgainstSpace`], [`EvaluateError::TimesAgainstIds`] where only one side has
+    /// times and these are no whole numbers, [`EvaluateError::NoMatch`], [`EvaluateError::NoIds`], [`EvaluateError::BadSetting`] for a
     /// difference that is negative or no number.
     pub fn new(
         estimate: &Trajectory,
         truth: &Trajectory,
         association: Association,
     ) -> Result<Self, EvaluateError> {
+        for (planar, spatial) in [(estimate, truth), (truth, estimate)] {
+            if planar.is_of_plane() && !spatial.is_planar() {
+                return Err(EvaluateError::PlaneAgainstSpace {
+                    planar: planar.name().into(),
+                    spatial: spatial.name().into(),
+                });
+            }
+        }
         let mut matches = match association {
             Association::Id => by_id(estimate, truth)?,
             Association::Time { max_difference } => {
@@ -88,6 +97,7 @@ impl PosePairs {
                         demand,
                     });
                 }
+                check_times(estimate, truth)?;
                 if truth.len() > estimate.len() {
                     by_time(estimate, truth, max_difference)
                 } else {
@@ -125,6 +135,20 @@ impl PosePairs {
     pub fn is_planar(&self) -> bool {
         self.planar
     }
+}
+
+/// Ids may stand for times only beside whole numbers, as in a TUM file written without times.
+fn check_times(estimate: &Trajectory, truth: &Trajectory) -> Result<(), EvaluateError> {
+    for (timed, numbered) in [(estimate, truth), (truth, estimate)] {
+        let times = timed.times().unwrap_or_default();
+        if numbered.times().is_none() && times.iter().any(|time| time.fract() != 0.0) {
+            return Err(EvaluateError::TimesAgainstIds {
+                timed: timed.name().into(),
+                numbered: numbered.name().into(),
+            });
+        }
+    }
+    Ok(())
 }
 
 /// Indices in both of the ids that both have.

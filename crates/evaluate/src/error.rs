@@ -43,6 +43,26 @@ pub enum EvaluateError {
         /// What poses were to have in common.
         by: String,
     },
+    /// One side says when, the other only which.
+    #[error(
+        "{timed} has time stamps and {numbered} only ids, which are no times; give the times of its poses (`--times FILE.csv`, lines of `id,timestamp`)"
+    )]
+    TimesAgainstIds {
+        /// The trajectory with times.
+        timed: String,
+        /// The one with ids.
+        numbered: String,
+    },
+    /// A map of the plane was to be measured by poses in space, or the other way round.
+    #[error(
+        "{planar} holds poses of the plane and {spatial} poses in space that do not lie in the plane z = 0; bring both into the same space first, for example by dropping z, roll and pitch"
+    )]
+    PlaneAgainstSpace {
+        /// The one of the plane.
+        planar: String,
+        /// The one in space.
+        spatial: String,
+    },
     /// Ids were to be compared where one side has none.
     #[error("{name}: its poses have no ids; associate them by time")]
     NoIds {
@@ -69,9 +89,6 @@ pub enum EvaluateError {
         /// How many poses apart.
         delta: usize,
     },
-    /// All positions of one side are the same.
-    #[error("no scale lays the estimate over the truth: on one side all positions are the same")]
-    NoScale,
     /// Numbers too large for their squares.
     #[error("coordinates are so large that the errors are not finite 64-bit numbers")]
     Overflow,

@@ -6,6 +6,7 @@ use evergraph_factors::RootShift;
 
 use crate::coordinates::{Coordinates, Kind};
 use crate::error::{Field, FormatError, Place};
+use crate::magnitude::{self, LARGEST};
 use crate::matrix::{self, Definiteness};
 use crate::measurement::{LinearMeasurement, Measurement, Quantity};
 use crate::record::{Line, Record};
@@ -44,7 +45,7 @@ pub(crate) fn inspect<'a>(
         let problem = format!("a {tag} line is no factor");
         return Err(FormatError::BadKernel { place: place.clone(), problem });
     }
-    require_finite(line.time().as_slice(), tag, place)?;
+    require_size(line.time().as_slice(), LARGEST, tag, place)?;
     inspect_ends(&line.record.ends(), place)?;
     match &line.record {
         Record::Vertex { at, .. } | Record::SensorOffset { at, .. } => {
@@ -52,7 +53,9 @@ pub(crate) fn inspect<'a>(
         }
         Record::Edge { measurement, weight, .. } => {
             finding.long_quaternion = inspect_coordinates(measurement, tag, place)?;
-            finding.clipped = inspect_weight(weight, measurement.kind().dim(), tag, place, texts)?;
+            let dim = measurement.kind().dim();
+            finding.clipped = inspect_weight(weight, dim, tag, place, texts)?;
+            inspect_size(measurement.numbers(), weight, dim, tag, place)?;
         }
         Record::Fix { .. } => {}
         Record::Measurement(measurement) => {
@@ -60,7 +63,7 @@ pub(crate) fn inspect<'a>(
         }
         Record::Linear(linear) => finding.long_quaternion = inspect_linear(linear, tag, place)?,
         Record::GeodeticOrigin { latitude, longitude, height } => {
-            require_finite(&[*latitude, *longitude, *height], tag, place)?;
+            require_size(&[*latitude, *longitude, *height], LARGEST, tag, place)?;
             if latitude.abs() > 90.0 {
                 let (what, demand) = ("latitude", "from -90 to 90 degrees");
                 return Err(out_of_range(place, tag, what, *latitude, demand));
@@ -107,7 +110,7 @@ fn inspect_measurement<'a>(
     if parameter.is_some() && !has_offset {
         return Err(bad(place, format!("{} know no sensor offset", quantity.name())));
     }
-    require_finite(numbers, tag, place)?;
+    require_size(numbers, LARGEST, tag, place)?;
     let mut finding = Finding::default();
     match quantity {
         Quantity::Prior | Quantity::Partial if of_pose3 => {
@@ -128,6 +131,7 @@ fn inspect_measurement<'a>(
         return Err(out_of_range(place, tag, "range", range, "0 or more"));
     }
     finding.clipped = inspect_weight(weight, rows, tag, place, texts)?;
+    inspect_size(numbers, weight, rows, tag, place)?;
     Ok(finding)
 }
 
@@ -155,8 +159,8 @@ fn inspect_linear(
     if linear.root_shift != RootShift::None && !linear.points[0].1.kind().is_pose() {
         return Err(bad(place, "its first variable, the root of the shift, is no pose"));
     }
-    require_finite(&linear.sqrt_information, tag, place)?;
-    require_finite(&linear.offset, tag, place)?;
+    require_size(&linear.sqrt_information, LARGEST, tag, place)?;
+    require_size(&linear.offset, LARGEST, tag, place)?;
     Ok(is_long)
 }
 
@@ -189,7 +193,7 @@ fn inspect_coordinates(
     tag: &'static str,
     place: &Place,
 ) -> Result<bool, FormatError> {
-    require_finite(at.numbers(), tag, place)?;
+    require_size(at.numbers(), LARGEST, tag, place)?;
     match at {
         Coordinates::Pose3Quaternion(pose) => inspect_quaternion(pose, tag, place),
         _ => Ok(false),
@@ -212,7 +216,7 @@ fn inspect_weight<'a>(
     place: &Place,
     texts: impl FnOnce(usize) -> Vec<&'a str>,
 ) -> Result<bool, FormatError> {
-    require_finite(&weight.entries, tag, place)?;
+    require_size(&weight.entries, magnitude::largest_entry(weight.kind), tag, place)?;
     let not_positive = |kind, demand, eigenvalue| {
         Err(FormatError::NotPositive { place: place.clone(), tag, kind, demand, eigenvalue })
     };
@@ -250,19 +254,38 @@ fn inspect_weight<'a>(
     }
 }
 
-fn require_finite(numbers: &[f64], tag: &'static str, place: &Place) -> Result<(), FormatError> {
-    match numbers.iter().position(|x| !x.is_finite()) {
-        None => Ok(()),
-        Some(at) => Err(FormatError::NotFinite {
-            place: place.clone(),
-            field: Box::new(Field {
-                tag,
-                number: at + 1,
-                name: "of its coordinates or matrix",
-                text: numbers[at].to_string().into(),
-            }),
-        }),
+/// No number may be infinite, or so large that squares overflow.
+fn require_size(
+    numbers: &[f64],
+    limit: f64,
+    tag: &'static str,
+    place: &Place,
+) -> Result<(), FormatError> {
+    let Some(at) = numbers.iter().position(|x| !(x.abs() <= limit)) else { return Ok(()) };
+    let (place, x) = (place.clone(), numbers[at]);
+    let name = "of its coordinates or matrix";
+    let text = format!("{x:?}").into();
+    let field = Box::new(Field { tag, number: at + 1, name, text });
+    Err(match x.is_finite() {
+        true => FormatError::TooLarge { place, field, limit },
+        false => FormatError::NotFinite { place, field },
+    })
+}
+
+/// Nor may what is measured be, once it is multiplied by the root of its information.
+fn inspect_size(
+    numbers: &[f64],
+    weight: &Weight,
+    dim: usize,
+    tag: &'static str,
+    place: &Place,
+) -> Result<(), FormatError> {
+    let root = magnitude::root_information(weight, dim);
+    if root > LARGEST {
+        let (what, demand) = ("information", "at most 1e150");
+        return Err(out_of_range(place, tag, what, root * root, demand));
     }
+    require_size(numbers, if root > 1.0 { LARGEST / root } else { LARGEST }, tag, place)
 }
 
 /// A variable's id and whether it is a pose: iSAM numbers poses and landmarks apart.

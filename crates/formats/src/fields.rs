@@ -3,6 +3,7 @@
 use smallvec::SmallVec;
 
 use crate::error::{Field, FormatError, Place, excerpt};
+use crate::magnitude::{self, LARGEST};
 use crate::names;
 use crate::options::Dialect;
 use crate::tags::{Shape, Tag};
@@ -100,9 +101,18 @@ impl<'a> Fields<'a> {
     }
 
     pub fn number(&mut self) -> Result<f64, FormatError> {
+        self.number_up_to(LARGEST)
+    }
+
+    fn number_up_to(&mut self, limit: f64) -> Result<f64, FormatError> {
         let word = self.word()?;
         match word.parse::<f64>() {
-            Ok(x) if x.is_finite() => Ok(x),
+            Ok(x) if x.abs() <= limit => Ok(x),
+            Ok(x) if x.is_finite() => Err(FormatError::TooLarge {
+                place: self.place.clone(),
+                field: self.field(word),
+                limit,
+            }),
             Ok(_) => {
                 Err(FormatError::NotFinite { place: self.place.clone(), field: self.field(word) })
             }
@@ -132,7 +142,7 @@ impl<'a> Fields<'a> {
         let mut entries = SmallVec::new();
         entries.reserve_exact(count);
         for _ in 0..count {
-            entries.push(self.number()?);
+            entries.push(self.number_up_to(magnitude::largest_entry(kind))?);
         }
         Ok(Weight { kind, order: self.tag.order(), entries: self.recent.share(entries) })
     }

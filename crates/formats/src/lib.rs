@@ -106,6 +106,7 @@ mod export;
 mod factor_data;
 mod fields;
 mod kinds;
+mod magnitude;
 mod matrix;
 mod measurement;
 mod names;

@@ -61,6 +61,39 @@ broken!(comma, "VERTEX_SE2 2 0,5 0 0", FormatError::NotANumber { .. }, "`0,5`");
 broken!(nan, "VERTEX_SE2 2 0 0 nan", FormatError::NotFinite { .. }, "field 4 (theta)", "`nan`");
 broken!(infinity, "EDGE_SE2 0 1 inf 0 0 100 0 0 100 0 400", FormatError::NotFinite { .. }, "`inf`");
 broken!(too_large, "EDGE_SE2 0 1 1 0 0 1e999 0 0 100 0 400", FormatError::NotFinite { .. }, "I11");
+broken!(
+    large_measurement,
+    "EDGE_SE2 0 1 0 -1e150 0 100 0 0 100 0 400",
+    FormatError::TooLarge { limit: 1e75, .. },
+    "field 4 (y)",
+    "`-1e150`",
+    "squares"
+);
+broken!(
+    large_value,
+    "VERTEX_SE3:QUAT 2 0 0 1e76 0 0 0 1",
+    FormatError::TooLarge { limit: 1e75, .. },
+    "field 4 (z)"
+);
+broken!(
+    large_landmark,
+    "EDGE_SE2_XY 0 2 1e76 0 1 0 1",
+    FormatError::TooLarge { limit: 1e75, .. },
+    "field 3 (x)"
+);
+broken!(
+    large_information,
+    "EDGE_SE2 0 1 1 0 0 1e160 0 0 100 0 400",
+    FormatError::TooLarge { limit: 1e150, .. },
+    "I11"
+);
+broken!(
+    large_with_its_weight,
+    "EDGE_SE2 0 1 1e70 0 0 1e100 0 0 100 0 400",
+    FormatError::TooLarge { .. },
+    "1e70",
+    "beyond 1e25"
+);
 broken!(negative_id, "VERTEX_SE2 -1 0 0 0", FormatError::NotAnId { .. }, "`-1`");
 broken!(fractional_id, "VERTEX_SE2 1.5 0 0 0", FormatError::NotAnId { .. }, "`1.5`");
 broken!(

@@ -5,8 +5,8 @@
 mod common;
 
 use common::*;
-use evergraph_model::{Key, VariableId};
-use evergraph_removal::{Consistency, Fallback, Options, Order, Topology};
+use evergraph_model::VariableId;
+use evergraph_removal::{Consistency, Fallback, Options, Order};
 use nalgebra::DMatrix;
 use proptest::prelude::*;
 
@@ -72,7 +72,7 @@ fn sequences_stay_conservative() {
         let mut optimistic = 0;
         for consistency in [Consistency::Conservative, Consistency::None] {
             left = whole.clone();
-            for key in keys[2..38].iter().step_by(2).map(Key::id) {
+            for key in keys[2..38].iter().step_by(2).map(|key| key.id()) {
                 let plan = left.plan(key, trees(consistency));
                 left = reduced(&left, &plan);
                 let kept: Vec<VariableId> = left.graph.variables().collect();
@@ -88,7 +88,7 @@ fn sequences_stay_conservative() {
     }
     let (smoother, keys) = drive(30, false, 5);
     let scene = scene(smoother.graph(), &smoother.estimates().unwrap());
-    let nodes: Vec<VariableId> = keys[3..27].iter().step_by(3).map(Key::id).collect();
+    let nodes: Vec<VariableId> = keys[3..27].iter().step_by(3).map(|key| key.id()).collect();
     let plan = priced(&scene, &nodes, Order::Given, trees(Consistency::Conservative));
     assert!(plan.steps().iter().all(|step| step.certificate.is_some() || step.blanket.len() < 3));
 }

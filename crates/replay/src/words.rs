@@ -10,18 +10,22 @@ pub(crate) fn explain(error: &SmootherError, id: &dyn Fn(VariableId) -> Option<u
     let name = |variable: VariableId| id(variable).map_or_else(|| variable.to_string(), spell_id);
     match error {
         SmootherError::Singular(singular @ Singular::Component { .. }) => format!(
-            "{}: nothing says where it is, or nothing of a weight that tells beside the others'. Give one of \
+            "{}: no measurement fixes its position, or only measurements far too weak relative to the rest. Give one of \
              its variables a prior, GPS or another absolute measurement",
             singular.describe(name)
         ),
         SmootherError::Singular(singular @ Singular::Variables { .. }) => {
-            format!("{}. Add measurements or priors that determine them", singular.describe(name))
+            format!(
+                "{}. Add measurements or priors that determine them. Measurements whose standard deviations or \
+                 distances differ by more than 1e11 are lost in rounding beside the others",
+                singular.describe(name)
+            )
         }
         SmootherError::NonFinite { name: factor, variables, .. } => {
             let names: Vec<String> = variables.iter().map(|v| name(*v)).collect();
             format!(
-                "the {factor} between {} has a residual or Jacobian that is not finite where it was \
-                 linearized; check its measurement, its weights and the start values",
+                "the {factor} between {} has a residual or Jacobian that is not finite, or so large that \
+                 squares overflow, where it was linearized; check its measurement, its weights and the start values",
                 names.join(" and ")
             )
         }
@@ -49,8 +53,8 @@ pub(crate) fn explain_removal(error: &RemovalError, name: &dyn Fn(VariableId) ->
             name(*variable)
         ),
         RemovalError::LargeBlanket { variable, dim, largest } => format!(
-            "{} shares factors with variables of {dim} dimensions in all, more than {largest}, and planning is \
-             cubic in them",
+            "{} shares factors with variables of {dim} dimensions in all, more than {largest} (--largest-blanket), and \
+             planning is cubic in them",
             name(*variable)
         ),
         RemovalError::LastPose { variable } => {

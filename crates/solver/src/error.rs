@@ -27,9 +27,10 @@ pub enum SmootherError {
     /// A setting cannot be.
     #[error(transparent)]
     Settings(#[from] SettingsError),
-    /// A factor's residual or Jacobian is NaN or infinite where it was linearized.
+    /// A factor's residual or Jacobian is NaN, infinite, or so large that squares overflow, where it was
+    /// linearized.
     #[error(
-        "factor {factor} ({name}) on {} gives a residual or Jacobian that is not finite at the current linearization point; check its measurement and the initial values of its variables",
+        "factor {factor} ({name}) on {} gives a residual or Jacobian that is not finite, or beyond 1e77, where squares overflow; check its measurement, its noise and the initial values of its variables",
         list(variables)
     )]
     NonFinite {
@@ -135,7 +136,9 @@ impl fmt::Display for Singular {
                 let (them, s) = if variables.len() == 1 { ("it", "") } else { ("them", "s") };
                 write!(
                     f,
-                    ". Add measurements or priors that determine {them}, or add the variable{s} together with them"
+                    ". Add measurements or priors that determine {them}, or add the variable{s} together with them. \
+                     Measurements whose standard deviations or distances differ by more than 1e11 are lost in rounding beside \
+                     the others"
                 )
             }
             Self::Component { .. } => f.write_str(
@@ -210,7 +213,9 @@ mod tests {
         };
         let one = "the problem is underdetermined: P0: 1 of 2 directions unconstrained: x";
         assert_eq!(free(1).describe(name), one);
-        let advice = ". Add measurements or priors that determine it, or add the variable together with them";
+        let advice = ". Add measurements or priors that determine it, or add the variable together with them. \
+                      Measurements whose standard deviations or distances differ by more than 1e11 are lost in rounding beside \
+                      the others";
         assert_eq!(free(1).to_string(), format!("{}{advice}", one.replace('P', "x")));
         let many = free(7).describe(name);
         assert!(many.ends_with("; P4: 1 of 2 directions unconstrained: x; and 2 more"), "{many}");

@@ -34,7 +34,7 @@ pub(crate) struct Mark {
 /// The reason why a factor has no usable linearization.
 #[derive(Clone, Debug)]
 pub(crate) enum Flaw {
-    /// Its residual or Jacobian holds a NaN or an infinity.
+    /// Its residual or Jacobian holds a NaN, an infinity, or a number beyond [`LARGEST`].
     NotFinite,
     /// Its code panicked.
     Refused(GraphError),
@@ -91,7 +91,7 @@ impl Blocks {
     ) -> Result<(), Flaw> {
         let block = &mut self.data[start..start + len];
         graph.linearize(factor, points, block).map_err(Flaw::Refused)?;
-        if block.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(Flaw::NotFinite) }
+        if block.iter().all(|x| x.abs() < LARGEST) { Ok(()) } else { Err(Flaw::NotFinite) }
     }
 
     /// Restores a block that was read by [`get`](Self::get) before.
@@ -178,6 +178,9 @@ impl Blocks {
         8 * self.data.capacity() + size_of::<Place>() * self.places.capacity() + free
     }
 }
+
+/// From here on products of two squares, such as `‖Jᵀr‖²`, overflow.
+const LARGEST: f64 = 1e77;
 
 /// Blocks of some factors at other linearization points. They stand in the array of the [`Blocks`],
 /// so that exchanging them for the factors' own copies nothing.

@@ -141,9 +141,10 @@ pub(crate) struct Arguments {
     /// Whose rules where they differ
     #[arg(long, value_enum, default_value = "default")]
     mode: Mode,
-    /// Nodes whose neighbours have more dimensions than this stay: planning is cubic in them
+    /// Nodes whose neighbours have more dimensions than this stay, and are counted: planning is cubic in
+    /// them
     #[arg(long, value_name = "N", default_value_t = Options::default().largest_blanket)]
-    largest_blanket: usize,
+    pub(super) largest_blanket: usize,
     /// Remove from the file's vertices as they are (or odometry, where it has none), one
     /// Gauss-Newton step on; the cost is measured at the optimum all the same
     #[arg(long)]

@@ -6,7 +6,7 @@ mod summary;
 use std::time::Instant;
 
 pub(crate) use arguments::Arguments;
-use evergraph::evaluate::{Divergence, GraphSize, Solved};
+use evergraph::evaluate::{GraphSize, Solved};
 use evergraph::formats::WriteOptions;
 use evergraph::solver::BatchReport;
 use evergraph::{Replayer, Rules, Smoother, Thinning, optimize_to_the_end};
@@ -71,17 +71,17 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
         all.map_err(|source| Error::unsolvable(&replayer, source))
     };
     let (was, is) = (estimates(&full)?, estimates(&reduced)?);
-    let divergence = Divergence::of(
-        Solved { graph: full.graph(), estimates: &was },
-        Solved { graph: reduced.graph(), estimates: &is },
+    let reduction = Reduction::of(
+        [&full, &reduced].map(|smoother| GraphSize::of(smoother, &priors)),
+        [
+            Solved { graph: full.graph(), estimates: &was },
+            Solved { graph: reduced.graph(), estimates: &is },
+        ],
         &reduction::same(&reduced),
         &settings,
-    );
-    let reduction = Reduction {
-        before: GraphSize::of(&full, &priors),
-        after: GraphSize::of(&reduced, &priors),
-        divergence: divergence.map_err(|error| incomparable(&replayer, error))?,
-    };
+        &replayer,
+    )
+    .map_err(|error| incomparable(&replayer, error))?;
 
     if let Some(path) = &arguments.plot {
         let title = report::file_name(&arguments.file);
@@ -107,7 +107,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Error> {
     warn_of_ends(&[("reduced", &batch)], output);
 
     let mut rows = Rows::new("data set", &dataset);
-    summary.show(&mut rows);
+    summary.show(&mut rows, arguments.largest_blanket);
     reduction.show(&mut rows);
     rows.add("optimized again", reduction::ended(&batch));
     rows.add("total time", milliseconds(1e3 * begun.elapsed().as_secs_f64()));

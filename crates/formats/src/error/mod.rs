@@ -127,6 +127,18 @@ pub enum FormatError {
         /// The field.
         field: Box<Field>,
     },
+    /// A number is so large that squares overflow.
+    #[error(
+        "{place}: {field}, which is too large: beyond {limit:.0e} here, products of squares do not fit 64-bit numbers; correct the number or its unit"
+    )]
+    TooLarge {
+        /// Where.
+        place: Place,
+        /// The field.
+        field: Box<Field>,
+        /// The largest size of this number; that of a measurement depends on its weight.
+        limit: f64,
+    },
     /// An id is not an unsigned 64-bit integer.
     #[error(
         "{place}: {field}, which is not an id; ids are whole numbers from 0 to 18446744073709551615"
@@ -421,6 +433,7 @@ impl FormatError {
             | Self::FieldCount { place, .. }
             | Self::NotANumber { place, .. }
             | Self::NotFinite { place, .. }
+            | Self::TooLarge { place, .. }
             | Self::NotAnId { place, .. }
             | Self::NotAName { place, .. }
             | Self::NotACount { place, .. }

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use super::error::TrajectoryError;
 use crate::error::{Field, FormatError, Place};
+use crate::magnitude::LARGEST;
 
 /// The longest line that is read; a line of twelve numbers has a few hundred bytes.
 pub(super) const LONGEST_LINE: usize = 1 << 14;
@@ -53,14 +54,19 @@ pub(super) fn for_each_line(
     Ok(())
 }
 
-/// A finite number; `field` is what stands there.
+/// A number that can be squared; `field` is what stands there.
 pub(super) fn number(
     word: &str,
     place: &Place,
     field: impl FnOnce() -> Field,
 ) -> Result<f64, FormatError> {
     match word.parse::<f64>() {
-        Ok(x) if x.is_finite() => Ok(x),
+        Ok(x) if x.abs() <= LARGEST => Ok(x),
+        Ok(x) if x.is_finite() => Err(FormatError::TooLarge {
+            place: place.clone(),
+            field: Box::new(field()),
+            limit: LARGEST,
+        }),
         Ok(_) => Err(FormatError::NotFinite { place: place.clone(), field: Box::new(field()) }),
         Err(_) => Err(FormatError::NotANumber { place: place.clone(), field: Box::new(field()) }),
     }

@@ -79,6 +79,8 @@ pub struct Trajectory {
     times: Option<Vec<f64>>,
     /// The lines of a KITTI file in its own numbers, so that writing it again gives the same bits.
     matrices: Option<Vec<[f64; 12]>>,
+    /// Whether the poses were given as poses of the plane.
+    of_plane: bool,
 }
 
 impl Trajectory {
@@ -92,8 +94,14 @@ impl Trajectory {
         name: &str,
         values: impl IntoIterator<Item = (u64, Value)>,
     ) -> Result<Self, TrajectoryError> {
-        let poses = values.into_iter().filter_map(|(id, value)| Some((id, lift(&value)?)));
-        Self::by_id(name, poses)
+        let mut of_plane = true;
+        let poses = values.into_iter().filter_map(|(id, value)| {
+            let pose = lift(&value)?;
+            of_plane &= value.get::<Pose2>().is_some();
+            Some((id, pose))
+        });
+        let poses: Vec<(u64, Pose3)> = poses.collect();
+        Self::by_id(name, poses, of_plane)
     }
 
     /// The pose vertices of a graph file, by time where they have times, else by id.
@@ -102,18 +110,25 @@ impl Trajectory {
     /// As [`of_estimates`](Self::of_estimates), and [`TrajectoryError::NoTime`] when only some of
     /// the poses have a time.
     pub fn of_document(document: &Document) -> Result<Self, TrajectoryError> {
+        let mut of_plane = true;
         let poses = document.records().filter_map(|record| match record {
-            Record::Vertex { id, at } => Some((*id, pose(at)?)),
+            Record::Vertex { id, at } => {
+                let pose = pose(at)?;
+                of_plane &= matches!(at, Coordinates::Pose2(_));
+                Some((*id, pose))
+            }
             _ => None,
         });
-        let trajectory = Self::by_id(document.name(), poses)?;
+        let poses: Vec<(u64, Pose3)> = poses.collect();
+        let trajectory = Self::by_id(document.name(), poses, of_plane)?;
         let stamps = Stamps::of_document(document);
         if stamps.is_empty() { Ok(trajectory) } else { trajectory.with_stamps(&stamps) }
     }
 
     fn by_id(
         name: &str,
-        poses: impl IntoIterator<Item = (u64, Pose3)>,
+        poses: Vec<(u64, Pose3)>,
+        of_plane: bool,
     ) -> Result<Self, TrajectoryError> {
         let name: Arc<str> = name.into();
         let mut sorted = BTreeMap::new();
@@ -129,7 +144,7 @@ impl Trajectory {
             return Err(TrajectoryError::NoPose { name });
         }
         let (ids, poses) = sorted.into_iter().unzip();
-        Ok(Self { name, poses, ids: Some(ids), times: None, matrices: None })
+        Ok(Self { name, poses, ids: Some(ids), times: None, matrices: None, of_plane })
     }
 
     /// The same poses with times, in their order; equal times by id.
@@ -158,6 +173,7 @@ impl Trajectory {
             ids: Some(order.iter().map(|&(_, id, _)| id).collect()),
             times: Some(order.iter().map(|&(time, _, _)| time).collect()),
             matrices: matrices.map(|m| order.iter().map(|&(_, _, place)| m[place]).collect()),
+            of_plane: self.of_plane,
         })
     }
 
@@ -202,6 +218,11 @@ impl Trajectory {
             (None, Some(ids)) => names::number_of(ids[index], ids) as f64,
             (None, None) => index as f64,
         }
+    }
+
+    /// Whether all poses were given as poses of the plane, such as `Pose2` or the vertices of a 2D graph.
+    pub fn is_of_plane(&self) -> bool {
+        self.of_plane
     }
 
     /// Whether all poses lie in the plane z = 0 and are turned about its normal only, to the bit.

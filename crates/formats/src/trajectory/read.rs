@@ -80,11 +80,11 @@ impl Trajectory {
         }
         Ok(match format {
             TrajectoryFormat::Tum => {
-                Self { name, poses, ids: None, times: Some(times), matrices: None }
+                Self { name, poses, ids: None, times: Some(times), matrices: None, of_plane: false }
             }
             TrajectoryFormat::Kitti => {
                 let ids = Some((0..poses.len() as u64).collect());
-                Self { name, poses, ids, times: None, matrices: Some(matrices) }
+                Self { name, poses, ids, times: None, matrices: Some(matrices), of_plane: false }
             }
         })
     }
