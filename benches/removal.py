@@ -3,7 +3,7 @@
 
 usage: python benches/removal.py [--evergraph PROGRAM] [--print] [TABLE...]
 
-TABLEs are `loss`, `prices`, `isam`, `exact`, `time` and `edges` here, and `cut`, `live` and `sweep` of the
+TABLEs are `loss`, `prices`, `isam`, `exact`, `consistency`, `time` and `edges` here, and `window`, `cut`, `live` and `sweep` of the
 benchmark in Rust (benches/removal); all but `sweep` by default, which takes an hour. Finds the data sets by
 EVERGRAPH_DATA, and builds Evergraph unless a PROGRAM is named.
 """
@@ -184,6 +184,38 @@ def edges(evergraph, table):
                 str(pairs(dense, "after")), str(pairs(tree, "after")), str(dense["largest_blanket"]))
 
 
+def consistency(evergraph, table):
+    """Trees with and without a bound, and the default."""
+    table.header("graph", "removed", "order", "KLD, tree", "conservative", "scaled", "auto", "eigenvalue - 1, tree", "conservative",
+                 "marginals too small, tree", "conservative", "plan p50, ms", "factor (R), tree", "auto")
+    for name in GRAPHS:
+        for percent, order in [(p, o) for p in (10, 50, 90) for o in ("random", "min-degree")] + [(50, "min-loss")]:
+            def run(*options):
+                return evergraph.report(
+                    "remove", file_of(name), "--fraction", str(percent / 100), "--order", order, "--no-price", *options)
+
+            tree = run("--topology", "tree")
+            bounded = run("--topology", "tree", "--consistency", "conservative")
+            scaled = run("--topology", "tree", "--consistency", "scaled")
+            auto = run()
+
+            def excess(report):
+                return f"{report['consistency']['largest_eigenvalue'] - 1:.1e}"
+
+            def share(report):
+                return f"{100 * report['consistency']['overconfident'] / report['consistency']['variables']:.0f} %"
+
+            table.row(
+                name, f"{percent} %", order, *(short(r["kld_covariance"]) for r in (tree, bounded, scaled, auto)),
+                excess(tree), excess(bounded), share(tree), share(bounded), f"{bounded['plan_ms']['p50']:.3f}",
+                str(tree["factor_nnz_after"]), str(auto["factor_nnz_after"]))
+
+
+def window(_, table):
+    for line in bench("window", ["200000"]):
+        table.line(line)
+
+
 def bench(mode, files):
     """Runs the benchmark in Rust and hands its lines on."""
     command = ["cargo", "bench", "-q", "-p", "evergraph-benches", "--bench", "removal", "--", mode, *files]
@@ -210,6 +242,7 @@ def sweep(_, table):
 
 TABLES = {
     "loss": loss, "prices": prices, "isam": isam, "exact": exact, "time": time, "edges": edges, "cut": cut,
+    "consistency": consistency, "window": window,
     "live": live, "sweep": sweep,
 }
 

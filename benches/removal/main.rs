@@ -1,12 +1,13 @@
 //! What removal does to public graphs: `sweep` removes many nodes from each in many ways and looks for
 //! errors; `cut` removes in the middle of a replay and goes on, and compares recoveries; `live` removes all
-//! along a replay. Writes Markdown.
+//! along a replay; `window` removes the oldest pose of a window at each step. Writes Markdown.
 #![forbid(unsafe_code)]
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "tables are what it is for")]
 
 mod cut;
 mod live;
 mod sweep;
+mod window;
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -22,7 +23,8 @@ use evergraph::{Replayer, ReplayerError, optimize_to_the_end};
 const USAGE: &str = "\
 usage: cargo bench -p evergraph-benches --bench removal -- sweep [--quick] FILE...
        cargo bench -p evergraph-benches --bench removal -- cut FILE:POSES...
-       cargo bench -p evergraph-benches --bench removal -- live FILE...";
+       cargo bench -p evergraph-benches --bench removal -- live FILE...
+       cargo bench -p evergraph-benches --bench removal -- window STEPS";
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
@@ -36,6 +38,7 @@ fn main() -> ExitCode {
         ["sweep", "--quick", files @ ..] if !files.is_empty() => sweep::run(files, true),
         ["sweep", files @ ..] if !files.is_empty() => sweep::run(files, false),
         ["cut", files @ ..] if !files.is_empty() => cut::run(files),
+        ["window", steps] => window::run(steps.parse().unwrap_or(0)),
         ["live", files @ ..] if !files.is_empty() => live::run(files),
         _ => {
             eprintln!("{USAGE}");
