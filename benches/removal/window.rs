@@ -18,13 +18,20 @@ const SHOWN: [usize; 9] = [30, 200, 1_600, 3_000, 10_000, 30_000, 100_000, 150_0
 pub(crate) fn run(steps: usize) -> Result<bool, Failure> {
     let shown: Vec<usize> = SHOWN.into_iter().filter(|&step| step <= steps).collect();
     let names: Vec<String> = shown.iter().map(|step| format!(" {step}")).collect();
-    println!("| removal |{} | factors | us a step, first 1,000 | last 1,000 | MB |", names.join(" |"));
+    println!(
+        "| removal |{} | factors | us a step, first 1,000 | last 1,000 | MB |",
+        names.join(" |")
+    );
     println!("|---|{}---|---|---|---|", "---|".repeat(shown.len()));
     for (name, options, most) in [
         ("default", Options::default(), steps),
         ("dense", Options::dense(), steps),
         ("tree", Options::tree(), steps.min(3_000)),
-        ("tree, conservative", Options::tree().with_consistency(Consistency::Conservative), steps.min(3_000)),
+        (
+            "tree, conservative",
+            Options::tree().with_consistency(Consistency::Conservative),
+            steps.min(3_000),
+        ),
         ("tree, scaled", Options::tree().with_consistency(Consistency::Scaled), steps.min(3_000)),
         ("tree, unary absorbed", Options::tree().with_keep_unary(false), steps.min(3_000)),
     ] {
@@ -66,7 +73,8 @@ fn row(name: &str, options: Options, steps: usize, shown: &[usize]) -> Result<St
         smoother.apply(change)?;
         if keys.len() > LAG {
             let oldest = keys.remove(0);
-            let plan = Removal::new(smoother.graph(), &smoother).with_options(options).plan(oldest)?;
+            let plan =
+                Removal::new(smoother.graph(), &smoother).with_options(options).plan(oldest)?;
             smoother.apply(plan.into_change())?;
         }
         if shown.contains(&k) {

@@ -128,7 +128,7 @@ impl StartFrom {
 pub(crate) enum EliminationName {
     /// Fast; falls back to QR where a pivot has lost its digits
     Cholesky,
-    /// For ill-conditioned graphs
+    /// For ill-conditioned graphs; weights may be up to 1e22 apart
     Qr,
 }
 

@@ -161,3 +161,19 @@ fn a_pose_with_a_prior_of_its_own_can_be_removed() {
     assert!(!graph.contains("VERTEX_SE2 2"), "{graph}");
     assert!(graph.contains("EDGE_SE2 0 1"), "{graph}");
 }
+
+#[test]
+fn weights_that_are_far_apart_leave_every_pose_determined() {
+    let folder = Folder::new();
+    for elimination in ["qr", "cholesky"] {
+        for command in ["optimize", "replay"] {
+            let path = case("weights_1e18.g2o");
+            let line = format!("{command} {path} --elimination {elimination}");
+            let (report, graph) = solved(&folder, &line);
+            error_is(&report, 2.25e-8, 1e-13);
+            near(&vertex(&graph, "1"), &[1.0, 0.0, 0.0], 1e-9);
+            near(&vertex(&graph, "2"), &[2.15, 0.0, 0.0], 1e-6);
+            near(&vertex(&graph, "3"), &[3.15, 0.0, 0.0], 1e-6);
+        }
+    }
+}

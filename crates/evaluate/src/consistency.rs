@@ -176,7 +176,7 @@ fn lanczos(
         let mut weighted = DVector::from_vec(information(next.as_slice()));
         let norm = next.dot(&weighted).max(0.0).sqrt();
         // Rounding is all that is left of a space that has been searched.
-        if !(norm > 1e-14) {
+        if norm.is_nan() || norm <= 1e-14 {
             break;
         }
         if !basis.is_empty() {

@@ -261,7 +261,9 @@ fn require_size(
     tag: &'static str,
     place: &Place,
 ) -> Result<(), FormatError> {
-    let Some(at) = numbers.iter().position(|x| !(x.abs() <= limit)) else { return Ok(()) };
+    let Some(at) = numbers.iter().position(|x| x.is_nan() || x.abs() > limit) else {
+        return Ok(());
+    };
     let (place, x) = (place.clone(), numbers[at]);
     let name = "of its coordinates or matrix";
     let text = format!("{x:?}").into();

@@ -6,9 +6,9 @@ use std::ops::Range;
 
 use crate::conservative::Program;
 use crate::covariance::{CovarianceRoot, information_root};
+use crate::fallback::Fallback;
 use crate::options::Consistency;
 use crate::potential::Potential;
-use crate::step::Fallback;
 use crate::target::Target;
 use crate::topology::Tree;
 use crate::whitened::{Certificate, Whitened, largest_eigenvalue};
@@ -106,12 +106,15 @@ impl Spaces {
     fn of_tree(target: &Target, tree: &Tree, potentials: &[Potential]) -> Option<Self> {
         let covariance = CovarianceRoot::of(target)?;
         // The root's term, then one for each edge, whose rows are as many as the child has dimensions.
-        let mut starts = vec![0..target.dim_of(tree.root)];
-        let mut end = starts[0].end;
-        for &(child, _) in &tree.edges {
-            starts.push(end..end + target.dim_of(child));
-            end += target.dim_of(child);
-        }
+        let mut end = 0;
+        let owners = std::iter::once(tree.root).chain(tree.edges.iter().map(|edge| edge.0));
+        let starts: Vec<Range<usize>> = owners
+            .map(|member| {
+                let start = end;
+                end += target.dim_of(member);
+                start..end
+            })
+            .collect();
         let is_whole = |(term, rows): (&Potential, &Range<usize>)| term.rows.nrows() == rows.len();
         if potentials.len() != starts.len() || !potentials.iter().zip(&starts).all(is_whole) {
             return None;

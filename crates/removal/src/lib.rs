@@ -8,8 +8,8 @@
 //! 1. The **Markov blanket** of the node and the factors `Z_m` on these variables only.
 //! 2. The **target information** `Λ_t = R_tᵀR_t`, what `Z_m` says of the blanket with the node
 //!    eliminated.
-//! 3. The **topology**: one factor on the whole blanket, or the **Chow-Liu tree** of most mutual
-//!    information, what is hardly known damped.
+//! 3. The **topology**: one factor on a small blanket, or the **Chow-Liu tree** of most mutual information, of least
+//!    divergence or conservative ([`Consistency`]).
 //! 4. The **recovery**: each term becomes a **generic linear constraint** in root-shifted
 //!    coordinates, or an ordinary factor, placed such that the gradient is kept.
 //! 5. The **price**: the Kullback-Leibler divergence of the map after from the map before.
@@ -21,10 +21,13 @@
 //!
 //! # What is promised
 //!
-//! - Removal with [`Topology::Dense`] is exact in that model, information and gradient. A tree has
+//! - A dense factor is exact in that model, information and gradient. A tree has
 //!   the exact gradient, and of all trees the least divergence in the regular case.
 //! - `null(Λ') = null(Λ_t)`: no direction becomes free, whatever the rest of the graph. Where a tree
 //!   cannot do that, the step says what took its place ([`Fallback`]).
+//! - A conservative tree has `Λ' ≤ Λ_t` in the Loewner order. The map after any sequence of such removals then knows no
+//!   more in any direction than the map that kept everything, at the same linearization points: adding the information of
+//!   all other factors and marginalizing both keep that order.
 //! - Removal at the optimum moves nothing ([`Offset::KeepGradient`]). But linear factors do not bend:
 //!   where residuals bend as much as they tell (ranges to few beacons, false loop closures), an optimum of
 //!   the full graph need not be one of the reduced graph when that is optimized again.
@@ -70,6 +73,7 @@ mod conservative;
 mod covariance;
 mod driver;
 mod error;
+mod fallback;
 mod groups;
 mod marginals;
 mod member;
@@ -98,6 +102,7 @@ pub use driver::{Remover, remove_in_order};
 pub use error::RemovalError;
 pub use evergraph_factors::RootShift;
 pub use evergraph_model::belief::{BeliefError, Covariance, Estimates, LinearizedEstimate};
+pub use fallback::Fallback;
 pub use options::{
     Consistency, Guard, MutualInformation, Offset, Options, Rank, Recovery, Topology,
 };
@@ -106,5 +111,5 @@ pub use overlay::Source;
 pub use plan::{Plan, PlannedFactor};
 pub use queue::Loss;
 pub use removal::Removal;
-pub use step::{Fallback, NewFactor, Step};
+pub use step::{NewFactor, Step};
 pub use whitened::Certificate;

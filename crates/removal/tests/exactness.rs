@@ -326,7 +326,7 @@ fn a_landmark_is_seen_from_the_pose_below_it() {
             change.add_factor(RelativePosition2::new(key, landmark, seen, noise).unwrap());
         }
     });
-    let plan = scene.plan(scene.ids()[0], Options::default());
+    let plan = scene.plan(scene.ids()[0], Options::tree());
     let (b, landmark) = (scene.ids()[2], scene.ids()[3]);
     let pair = plan
         .change()

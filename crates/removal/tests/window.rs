@@ -4,7 +4,7 @@
 
 use evergraph_factors::{BetweenPose2, Prior};
 use evergraph_model::{Key, LieGroup, Noise, Pose2};
-use evergraph_removal::{Consistency, Options, Removal, Topology};
+use evergraph_removal::{Consistency, Options, Removal};
 use evergraph_solver::{Settings, Smoother};
 use nalgebra::DMatrix;
 use rand::{RngExt, SeedableRng};
@@ -117,7 +117,7 @@ fn a_conservative_tree_is_never_too_certain() {
         let whitened = l.solve_lower_triangular(&half.transpose()).unwrap();
         // Each window moves its points at times of its own.
         let least = whitened.symmetric_eigenvalues().min();
-        assert!(least > 1.0 - 1e-2, "step {k}: {least}");
+        assert!(least > 1.0 - 2e-2, "step {k}: {least}");
         assert!(bounded.heading() > dense.heading() * (1.0 - 1e-6), "step {k}");
     }
     let ratio = bounded.heading() / dense.heading();

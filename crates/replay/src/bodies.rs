@@ -57,13 +57,30 @@ impl Replay {
         link: usize,
         mut end: impl FnMut(usize) -> Result<Option<End>, ReplayerError>,
     ) -> Result<bool, ReplayerError> {
-        let mut ends: SmallVec<[End; 2]> = SmallVec::new();
+        let mut found: SmallVec<[Option<End>; 2]> = SmallVec::new();
         for &node in &self.links[link].ends {
-            let Some(end) = end(node)? else { return Ok(false) };
+            found.push(end(node)?);
+        }
+        let what = &self.observations[link].what;
+        // A landmark that is not placed yet is where a linear factor has it relative to what is.
+        let standing = found.iter().enumerate().find_map(|(at, end)| match end {
+            Some(End::Standing(value)) => Some((at, *value)),
+            _ => None,
+        });
+        let composed = |at: usize| {
+            let (known, value) = standing?;
+            what.compose_rigidly(known, &value, at).map(End::Standing)
+        };
+        let is_landmark = |at: usize| !self.nodes[self.links[link].ends[at]].kind.is_pose();
+        let mut ends: SmallVec<[End; 2]> = SmallVec::new();
+        for (at, end) in found.iter().enumerate() {
+            let Some(end) = end.or_else(|| composed(at).filter(|_| is_landmark(at))) else {
+                return Ok(false);
+            };
             ends.push(end);
         }
         let all_move = ends.iter().all(|end| matches!(end, End::Moving(_)));
-        if all_move && self.observations[link].what.is_relative() {
+        if all_move && what.is_relative() {
             return Ok(false);
         }
         let mut ends = ends.into_iter();

@@ -147,6 +147,19 @@ impl Observed {
         }
     }
 
+    /// [`compose`](Self::compose) by a linear factor that holds all of its variables relative to each other.
+    pub fn compose_rigidly(
+        &self,
+        known: usize,
+        value: &Geometry,
+        target: usize,
+    ) -> Option<Geometry> {
+        match self {
+            Self::Linear(constraint) if constraint.is_rigid() => self.compose(known, value, target),
+            _ => None,
+        }
+    }
+
     /// The value of the variable at `target` of its ends, given that of the one at `known`.
     pub fn compose(&self, known: usize, value: &Geometry, target: usize) -> Option<Geometry> {
         let Self::Relative { measurement, sensor, .. } = self else {
@@ -186,6 +199,14 @@ impl Constraint {
         let rank = singular.iter().filter(|&&s| s > 1e-9 * singular.max()).count();
         let dim = self.points[0].value().dim();
         if rank >= (self.points.len() - 1) * dim { Ties::Poses } else { Ties::Weak }
+    }
+
+    /// Whether it holds all of its variables in place relative to the first, a pose.
+    fn is_rigid(&self) -> bool {
+        let singular = self.sqrt_information.singular_values();
+        let rank = singular.iter().filter(|&&s| s > 1e-9 * singular.max()).count();
+        let dims: usize = self.points.iter().map(|point| point.value().dim()).sum();
+        rank + self.points[0].value().dim() >= dims
     }
 
     pub fn points(&self) -> Vec<Value> {

@@ -1,7 +1,8 @@
 //! The free directions of a singular system. Runs only on the way to an error.
 //!
 //! The null space of JᵀJ over the connected component of the failed variable is found by inverse
-//! iteration on a slightly damped factorization, and put into words.
+//! iteration on a slightly damped factorization, and put into words. Directions that are only known
+//! far less than others look as free there; `‖J d‖` for each of the softest tells them apart.
 
 use std::collections::BTreeSet;
 
@@ -11,6 +12,7 @@ use faer::sparse::linalg::solvers::Llt;
 use faer::sparse::{SparseColMat, Triplet};
 use faer::{Mat, Side};
 
+use crate::dense::triangularize;
 use crate::error::{FreeVariable, Singular};
 use crate::linearization::Blocks;
 
@@ -20,8 +22,15 @@ const DIRECTIONS: usize = 12;
 const MOST_DIRECTIONS: usize = 192;
 /// Damping relative to diag(JᵀJ); far below any sound pivot ratio, far above rounding.
 const DAMPING: f64 = 1e-12;
-/// A direction is free if the information along it, relative to the diagonal, is below this.
+/// A direction is free if the information along it, relative to the diagonal, is below this ...
 const FREE: f64 = 1e-9;
+/// ... and none of the softer ones has less by this factor: from there on directions are known, if
+/// little.
+const GAP: f64 = 1e3;
+/// Information below this is rounding.
+const ROUNDING: f64 = 1e-27;
+/// Rows of `J d` that are brought into a triangle at a time.
+const ROWS: usize = 1024;
 /// Components of the null space below this share of its largest are rounding.
 const TAKES_PART: f64 = 1e-6;
 
@@ -147,7 +156,7 @@ fn null_space(
         .collect();
     // Columns scaled to unit length, so that units do not matter.
     let mut scale = vec![0.0_f64; component.dim];
-    let mut columns: Vec<Vec<(usize, Vec<f64>)>> = Vec::new();
+    let mut columns: Vec<Columns> = Vec::new();
     for &f in &factors {
         let rows = graph.rows_at(f);
         let mut chunks = blocks.get(f).chunks_exact(rows);
@@ -164,13 +173,16 @@ fn null_space(
         columns.push(list);
     }
     scale.iter_mut().for_each(|s| *s = if *s > 0.0 { s.sqrt() } else { 1.0 });
+    for (i, column) in columns.iter_mut().flatten() {
+        column.iter_mut().for_each(|x| *x /= scale[*i]);
+    }
     let mut triplets = Vec::new();
     for list in &columns {
         for (i, a) in list {
             for (j, b) in list {
                 if i >= j {
                     let product: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
-                    triplets.push(Triplet::new(*i, *j, product / (scale[*i] * scale[*j])));
+                    triplets.push(Triplet::new(*i, *j, product));
                 }
             }
         }
@@ -188,7 +200,7 @@ fn null_space(
     };
     let mut count = DIRECTIONS.min(component.dim);
     loop {
-        let Some(found) = softest(&factor, component.dim, count) else { return none() };
+        let Some(found) = softest(&factor, &columns, component.dim, count) else { return none() };
         let may_be_more = found.ncols() == count && count < MOST_DIRECTIONS.min(component.dim);
         if !may_be_more {
             return found;
@@ -197,19 +209,79 @@ fn null_space(
     }
 }
 
+/// The Jacobian of a factor: the columns, each with the place of its scalar.
+type Columns = Vec<(usize, Vec<f64>)>;
+
 /// The free ones of the `count` softest directions of a factored matrix.
-fn softest(factor: &Llt<usize, f64>, dim: usize, count: usize) -> Option<Mat<f64>> {
-    // A fixed start without symmetry; any will do.
-    let mut x = Mat::from_fn(dim, count, |i, j| ((i * 7919 + j * 104_729 + 13) as f64).sin());
+fn softest(
+    factor: &Llt<usize, f64>,
+    columns: &[Columns],
+    dim: usize,
+    count: usize,
+) -> Option<Mat<f64>> {
+    let mut x = Mat::from_fn(dim, count, |i, j| start(i as u64, j as u64));
     for _ in 0..4 {
         x = factor.solve(&x);
         x = x.qr().compute_thin_Q();
     }
-    // Rayleigh-Ritz: eigenvectors of the small projected matrix separate free from stiff.
-    let solved = factor.solve(&x);
-    let projected = x.transpose() * &solved;
-    let eigen = projected.self_adjoint_eigen(Side::Lower).ok()?;
-    let directions = &x * eigen.U();
-    let free: Vec<usize> = (0..count).filter(|&j| 1.0 / eigen.S()[j] < FREE).collect();
-    Some(Mat::from_fn(dim, free.len(), |i, j| directions[(i, free[j])]))
+    // Singular vectors of J on these directions separate free from stiff; JᵀJ would lose half of the
+    // digits.
+    let svd = image(columns, &x).svd().ok()?;
+    let information = |j: usize| (svd.S()[j] * svd.S()[j]).max(ROUNDING);
+    // Softest last.
+    let mut free = 0;
+    while free < count {
+        let next = information(count - 1 - free);
+        let is_known = free > 0 && next > GAP * information(count - free);
+        if next >= FREE || is_known {
+            break;
+        }
+        free += 1;
+    }
+    let directions = &x * svd.V();
+    Some(Mat::from_fn(dim, free, |i, j| directions[(i, count - 1 - j)]))
+}
+
+/// A fixed start in general position: bits mixed as by `SplitMix64` (Steele, Lea and Flood, 2014), in
+/// [-1, 1). A formula that is a sum of products of a row's and a column's numbers has low rank.
+fn start(row: u64, column: u64) -> f64 {
+    let mut bits = (row << 16 | column).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    bits ^= bits >> 31;
+    (bits >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+}
+
+/// A square root of `(J X)ᵀ(J X)`, by QR of a few rows at a time.
+fn image(columns: &[Columns], x: &Mat<f64>) -> Mat<f64> {
+    let n = x.ncols();
+    let mut root = Mat::<f64>::zeros(n, n);
+    let mut rest = columns;
+    while !rest.is_empty() {
+        let (mut rows, mut taken) = (n, 0);
+        let mut starts = Vec::new();
+        for list in rest {
+            if rows > n + ROWS {
+                break;
+            }
+            starts.push(rows);
+            rows += list.first().map_or(0, |(_, column)| column.len());
+            taken += 1;
+        }
+        let mut stack = vec![0.0; rows * n];
+        for (j, stacked) in stack.chunks_exact_mut(rows).enumerate() {
+            stacked[..n].copy_from_slice(&(0..n).map(|i| root[(i, j)]).collect::<Vec<_>>());
+            for (list, &start) in rest.iter().zip(&starts) {
+                for (i, column) in list {
+                    for (sum, a) in stacked[start..].iter_mut().zip(column) {
+                        *sum += a * x[(*i, j)];
+                    }
+                }
+            }
+        }
+        triangularize(&mut stack, rows, n);
+        root = Mat::from_fn(n, n, |i, j| stack[j * rows + i]);
+        rest = &rest[taken..];
+    }
+    root
 }

@@ -66,7 +66,9 @@ impl Structure {
 /// - the contribution, what is left for the parent, as [`Form`] says;
 /// - for each separator scalar, the sum of squares of its Jacobian column over all factors of the
 ///   subtree; complete once it reaches the clique where the scalar is frontal, where it is the
-///   measure of a pivot.
+///   measure of a pivot;
+/// - for a square root, as many numbers again: an error that stands for the rounding in each separator
+///   scalar's column, in units of ε (see `eliminate/rows.rs`).
 #[derive(Clone, Debug)]
 pub(crate) struct Numeric {
     pub(crate) layout: FrontLayout,
@@ -100,12 +102,19 @@ impl Form {
             Self::Root { rows } => rows as usize * layout.order(),
         }
     }
+
+    /// Numbers after a contribution: the diagonal of JᵀJ, and the rounding of a square root.
+    #[inline(always)]
+    fn tail(self, layout: FrontLayout) -> usize {
+        let separator = layout.order() - 1;
+        if self.is_root() { 2 * separator } else { separator }
+    }
 }
 
 impl Numeric {
     /// Numbers in the buffer of a clique.
     pub(crate) fn len(layout: FrontLayout, form: Form) -> usize {
-        layout.panel_len() + form.len(layout) + layout.order() - 1
+        layout.panel_len() + form.len(layout) + form.tail(layout)
     }
 
     /// The frontal columns: `layout.rows()` each.
@@ -130,7 +139,7 @@ impl Numeric {
     /// The contribution. There need not be a panel before it.
     #[inline(always)]
     pub(crate) fn contribution(&self) -> &[f64] {
-        let end = self.data.len() - (self.layout.order() - 1);
+        let end = self.data.len() - self.form.tail(self.layout);
         &self.data[end - self.form.len(self.layout)..end]
     }
 
@@ -142,6 +151,13 @@ impl Numeric {
     /// The diagonal of JᵀJ for the separator.
     #[inline(always)]
     pub(crate) fn diagonal(&self) -> &[f64] {
+        let start = self.data.len() - self.form.tail(self.layout);
+        &self.data[start..start + self.layout.order() - 1]
+    }
+
+    /// Errors that stand for rounding in the separator's columns of a square root, in units of ε.
+    pub(crate) fn rounding(&self) -> &[f64] {
+        debug_assert!(self.form.is_root());
         &self.data[self.data.len() - (self.layout.order() - 1)..]
     }
 

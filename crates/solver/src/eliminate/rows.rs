@@ -1,10 +1,18 @@
 //! One clique by QR: stack the whitened rows of its factors and its children's square-root
 //! contributions, triangularize, keep the rows below the frontal ones as the contribution.
+//!
+//! R is exact for rows whose columns are off by about ε of their norms (Higham, Accuracy and Stability
+//! of Numerical Algorithms, theorem 19.4). Weights of rows are thus no matter of rank. But a column that
+//! depends on others, `a_v = Σ c_k a_k`, is left with their rounding times `c_k`, which is large where
+//! they nearly depend on each other. So an error of a random sign and the size of its norm is put on each
+//! column of each factor and carried through the elimination; a pivot counts if it stands out from what
+//! comes of these. Sums of `|R_kj / R_kk|` would be a bound, but grow exponentially along a chain of poses
+//! with correlated errors.
 
 use evergraph_model::{FactorIndex, VariableIndex};
 
 use super::job::Failure;
-use super::system::{QR_PIVOT, QR_PRODUCT, System};
+use super::system::{QR_PIVOT, QR_ROUNDING, System};
 use super::workspace::{Run, Workspace};
 use crate::dense::triangularize;
 use crate::profile::Phase;
@@ -26,6 +34,8 @@ pub(super) fn eliminate(
     workspace.place(system, structure);
     workspace.square.clear();
     workspace.square.resize(m * n, 0.0);
+    workspace.rounding.clear();
+    workspace.rounding.resize(n - 1, 0.0);
 
     let mut row = 0;
     for &factor in &structure.factors {
@@ -34,7 +44,7 @@ pub(super) fn eliminate(
     for (child, numeric) in children {
         workspace.map_child(child, n);
         let (rows, data) = root(numeric);
-        let diagonal = numeric.diagonal();
+        let (diagonal, rounding) = (numeric.diagonal(), numeric.rounding());
         for &Run { from, to, len } in &workspace.runs {
             for j in 0..len {
                 let target = (to + j) * m + row;
@@ -42,8 +52,9 @@ pub(super) fn eliminate(
                 workspace.square[target..target + rows]
                     .copy_from_slice(&data[source..source + rows]);
                 // The right-hand side has none.
-                if let Some(x) = diagonal.get(from + j) {
+                if let (Some(x), Some(y)) = (diagonal.get(from + j), rounding.get(from + j)) {
                     workspace.diagonal[to + j] += x;
+                    workspace.rounding[to + j] += y;
                 }
             }
         }
@@ -54,6 +65,7 @@ pub(super) fn eliminate(
         for (j, scalar) in scalars.enumerate() {
             workspace.square[j * m + row + j] = damping[scalar].sqrt();
             workspace.diagonal[j] += damping[scalar];
+            workspace.rounding[j] += damping[scalar].sqrt();
         }
     }
     triangularize(&mut workspace.square[..m * n], m, n);
@@ -93,10 +105,20 @@ fn place_factor(
     for (column, data) in starts.chain(std::iter::once(n - 1)).zip(&mut source) {
         workspace.square[column * m + row..][..rows].copy_from_slice(data);
         if let Some(diagonal) = workspace.diagonal.get_mut(column) {
-            *diagonal += data.iter().map(|x| x * x).sum::<f64>();
+            let square = data.iter().map(|x| x * x).sum::<f64>();
+            *diagonal += square;
+            workspace.rounding[column] += sign(factor, column) * square.sqrt();
         }
     }
     rows
+}
+
+/// A sign for a column of a factor, as good as random.
+fn sign(factor: FactorIndex, column: usize) -> f64 {
+    let mut bits = (factor.index() as u64) << 16 ^ column as u64;
+    bits = bits.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    bits = (bits ^ (bits >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    if bits >> 63 == 0 { 1.0 } else { -1.0 }
 }
 
 /// Takes the triangular factor apart: frontal rows to the panel (with positive diagonal), the rest
@@ -114,16 +136,17 @@ fn collect(
     let rows = order.min(m.saturating_sub(frontal));
     let form = Form::Root { rows: rows as u32 };
     let mut data = workspace.pool.take(Numeric::len(layout, form));
-    let front = &workspace.square;
+    let Workspace { square: front, diagonal: norms, rounding, .. } = workspace;
     let mut pivot_ratio = f64::INFINITY;
     for j in 0..frontal {
         let pivot = if j < m { front[j * m + j] } else { 0.0 };
-        let ratio = pivot * pivot / workspace.diagonal[j];
+        let ratio = pivot * pivot / norms[j];
         // Written so that NaN (no information at all: 0/0) fails too.
-        if !(ratio > QR_PIVOT.max(QR_PRODUCT / weakest) && ratio.is_finite()) {
+        if !(ratio > QR_PIVOT && pivot.abs() > QR_ROUNDING * rounding[j].abs() && ratio.is_finite())
+        {
             let variable = frontal_at(system, structure, j);
             // A square that is not finite says nothing about what is determined.
-            let finite = (pivot * pivot).is_finite() && workspace.diagonal[j].is_finite();
+            let finite = (pivot * pivot).is_finite() && norms[j].is_finite();
             return Err(match finite {
                 true => Failure::Undetermined { variable },
                 false => Failure::Overflow { variable },
@@ -132,8 +155,14 @@ fn collect(
         pivot_ratio = pivot_ratio.min(ratio);
         weakest = weakest.min(ratio);
         let sign = pivot.signum();
+        let passed = rounding[j] / pivot;
         for i in j..n {
-            data[j * layout.rows() + i] = sign * front[i * m + j];
+            let x = front[i * m + j];
+            data[j * layout.rows() + i] = sign * x;
+            // The right-hand side has none.
+            if let Some(rounding) = rounding.get_mut(i) {
+                *rounding -= passed * x;
+            }
         }
     }
     let contribution = &mut data[layout.panel_len()..];
@@ -141,8 +170,10 @@ fn collect(
         let source = (frontal + j) * m + frontal;
         column[..rows].copy_from_slice(&front[source..source + rows]);
     }
-    let diagonal = data.len() - (order - 1);
-    data[diagonal..].copy_from_slice(&workspace.diagonal[frontal..]);
+    let tail = data.len() - 2 * (order - 1);
+    let (diagonal, rest) = data[tail..].split_at_mut(order - 1);
+    diagonal.copy_from_slice(&norms[frontal..]);
+    rest.copy_from_slice(&rounding[frontal..]);
     Ok(Numeric { layout, form, data, pivot_ratio, weakest })
 }
 

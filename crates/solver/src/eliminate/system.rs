@@ -17,9 +17,11 @@ pub(crate) const CHOLESKY_PIVOT: f64 = 1e-9;
 /// QR finds R_jj to about 1e-15 of its column's norm, so a free direction shows as 1e-28 or so,
 /// while sound ones go down to 2.7e-14 in a public graph (Intel, where one edge weighs 2.7e12).
 pub(crate) const QR_PIVOT: f64 = 1e-22;
-/// What two pivots of a subtree may lose together: ε/ρ beside ρ for Cholesky, their squares for QR.
+/// What two pivots of a subtree may lose together by Cholesky: ε/ρ beside ρ.
 pub(crate) const CHOLESKY_PRODUCT: f64 = 1e-14;
-pub(crate) const QR_PRODUCT: f64 = 1e-29;
+/// Below this multiple of the error carried in its column, which stands for rounding in units of
+/// 1.1e-16, `|R_jj|` of QR is zero.
+pub(crate) const QR_ROUNDING: f64 = 1e-14;
 
 /// What elimination reads.
 #[derive(Clone, Copy)]

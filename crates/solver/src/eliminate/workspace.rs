@@ -35,6 +35,8 @@ pub(crate) struct Workspace {
     pub(super) base: Vec<usize>,
     /// Diagonal of JᵀJ for the scalars of the current front.
     pub(super) diagonal: Vec<f64>,
+    /// Errors that stand for rounding in the columns of those scalars, in units of ε; for QR.
+    pub(super) rounding: Vec<f64>,
     pub(super) runs: Vec<Run>,
     /// A dense matrix: of rows for QR, of a large front.
     pub(super) square: Vec<f64>,
