@@ -222,3 +222,41 @@ fn robust_graphs_are_compared_as_they_were_when_nodes_were_removed() {
         assert_eq!(number(&bare, "error"), number(&again, "error"));
     }
 }
+
+/// Linear factors on many poses and landmarks at once hold the parts of a file together.
+#[test]
+fn dense_factors_are_read_back_as_what_they_are() {
+    let folder = Folder::new();
+    for world in ["manhattan --poses 120 --seed 3", "manhattan --poses 60 --seed 3 --landmarks"] {
+        folder.run(&format!("simulate {world} --output full.g2o")).done();
+        for topology in ["auto", "dense"] {
+            let remove =
+                format!("remove full.g2o --keep-every 3 --topology {topology} --output half.g2o");
+            folder.run(&remove).done();
+            let ran = folder.run("optimize half.g2o").done();
+            assert!(!ran.err.contains("weak prior"), "{world} {topology}: {}", ran.err);
+            folder.run("compare full.g2o half.g2o --report out.json").done();
+            let report = folder.json("out.json");
+            assert!(topology == "auto" || number(&report, "kld_total").abs() < 1e-6, "{report}");
+        }
+    }
+}
+
+/// A tree claims too much, and is told where; a conservative one is not.
+#[test]
+fn overconfidence_is_told_with_its_place() {
+    let folder = Folder::new();
+    folder.run("simulate manhattan --poses 200 --seed 3 --output full.g2o").done();
+    let remove =
+        "remove full.g2o --fraction 0.5 --topology tree --output half.g2o --report out.json";
+    let told = folder.run(remove).done().out;
+    assert!(told.contains("no: ") && told.contains(" marginals are too small"), "{told}");
+    assert_eq!(folder.json("out.json")["is_conservative"], false);
+    folder.run(&format!("{remove} --consistency conservative")).done();
+    let report = folder.json("out.json");
+    assert_eq!(report["is_conservative"], true, "{report}");
+    assert!(number(&report, "log_det_ratio") > 0.0);
+    assert!(number(&report["certificates"], "largest_eigenvalue") <= 1.0 + 1e-9);
+    folder.run("compare full.g2o half.g2o --report out.json").done();
+    assert_eq!(folder.json("out.json")["is_conservative"], true);
+}

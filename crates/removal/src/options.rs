@@ -11,8 +11,8 @@ use crate::error::RemovalError;
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Topology {
-    /// A dense factor on blankets of up to [`Options::dense_up_to`] variables where a tree would lose anything worth
-    /// it, a tree elsewhere.
+    /// A dense factor on blankets of up to [`Options::dense_up_to`] variables where a tree would lose anything worth it, a
+    /// tree elsewhere.
     ///
     /// On a blanket of n variables a dense factor joins `(n - 1)(n - 2) / 2` pairs that a tree does not join. The tree
     /// stays when its divergence from the target is below 0.001 nats for each of them. Between two variables both are

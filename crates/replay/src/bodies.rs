@@ -64,7 +64,7 @@ impl Replay {
         let what = &self.observations[link].what;
         // A landmark that is not placed yet is where a linear factor has it relative to what is.
         let standing = found.iter().enumerate().find_map(|(at, end)| match end {
-            Some(End::Standing(value)) => Some((at, *value)),
+            Some(End::Standing(value)) if value.is_pose() => Some((at, *value)),
             _ => None,
         });
         let composed = |at: usize| {
@@ -158,10 +158,11 @@ impl Replay {
                 None if self.handles[node].is_some() => {
                     Ok(Some(End::Standing(self.known(node, link, known)?)))
                 }
-                None if self.fixed[node] => {
-                    Ok(self.starts[node].map(|(_, start)| End::Standing(start)))
-                }
-                None => Ok(self.anchors[node].map(End::Standing)),
+                // Fixed, or tied to what is there by odometry in this step.
+                None => Ok(match self.starts[node] {
+                    Some((_, start)) => Some(End::Standing(start)),
+                    None => self.anchors[node].map(End::Standing),
+                }),
             })?;
         }
         Ok(Some((first, body)))

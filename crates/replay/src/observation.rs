@@ -4,7 +4,7 @@ use evergraph_factors::RootShift;
 use evergraph_formats::{
     Coordinates, Document, Kind, Line, LinearMeasurement, Measurement, Quantity, Weight,
 };
-use evergraph_model::{Kernel, Noise, Pose3, Value};
+use evergraph_model::{Kernel, LieGroup, Noise, Pose3, Value};
 use nalgebra::{DMatrix, DVector};
 use smallvec::SmallVec;
 
@@ -154,10 +154,16 @@ impl Observed {
         value: &Geometry,
         target: usize,
     ) -> Option<Geometry> {
-        match self {
-            Self::Linear(constraint) if constraint.is_rigid() => self.compose(known, value, target),
-            _ => None,
-        }
+        let Self::Linear(constraint) = self else { return None };
+        let known = constraint.points.get(known).filter(|_| constraint.is_rigid())?;
+        let origin = match known {
+            Geometry::Pose2(_) => Geometry::Pose2(LieGroup::identity()),
+            Geometry::Pose3(_) => Geometry::Pose3(LieGroup::identity()),
+            Geometry::Point2(_) | Geometry::Point3(_) => return None,
+        };
+        // The motion of the world that brings the known variable to its value.
+        let motion = known.between(&origin)?.moved(value)?;
+        constraint.points.get(target)?.moved(&motion)
     }
 
     /// The value of the variable at `target` of its ends, given that of the one at `known`.
@@ -170,10 +176,10 @@ impl Observed {
         let backwards = target == 0;
         match (measurement, value) {
             (Geometry::Pose2(z), Geometry::Pose2(_)) if backwards => {
-                Geometry::Pose2(evergraph_model::LieGroup::inverse(z)).moved(value)
+                Geometry::Pose2(LieGroup::inverse(z)).moved(value)
             }
             (Geometry::Pose3(z), Geometry::Pose3(_)) if backwards => {
-                Geometry::Pose3(evergraph_model::LieGroup::inverse(z)).moved(value)
+                Geometry::Pose3(LieGroup::inverse(z)).moved(value)
             }
             (Geometry::Point3(z), Geometry::Pose3(_)) => {
                 let in_robot = sensor.map_or(*z, |robot_from_sensor| robot_from_sensor * *z);
