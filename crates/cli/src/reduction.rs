@@ -1,6 +1,8 @@
 //! What `remove` and `compare` say of two graphs.
 
-use evergraph::evaluate::{Consistency, Divergence, DivergenceError, GraphSize, Solved};
+use evergraph::evaluate::{
+    Comparison, Consistency, Divergence, DivergenceError, GraphSize, Solved,
+};
 use evergraph::formats::{Document, spell_id};
 use evergraph::model::{FactorId, VariableId};
 use evergraph::solver::{BatchReport, Settings, Status as BatchStatus};
@@ -43,8 +45,8 @@ impl Reduction {
         settings: &Settings,
         replayer: &Replayer,
     ) -> Result<Self, DivergenceError> {
-        let divergence = Divergence::of(full, reduced, kept, settings)?;
-        let consistency = Consistency::of(full, reduced, kept, settings)?;
+        let comparison = Comparison::new(full, reduced, kept, settings)?;
+        let (divergence, consistency) = (comparison.divergence()?, comparison.consistency()?);
         let mut ids = replayer.replay().ids();
         let worst = ids.find(|(_, variable)| *variable == consistency.worst.variable);
         let worst =
@@ -106,7 +108,7 @@ impl Reduction {
         Ok(Plot { title, subtitle, map, times: None })
     }
 
-    /// Whether the reduced graph claims too much, and where.
+    /// A sentence on where the reduced graph claims too much, if it does.
     fn describe_consistency(&self) -> String {
         let Consistency { largest_eigenvalue, variables, overconfident, ref worst, .. } =
             self.consistency;

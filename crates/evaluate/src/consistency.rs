@@ -1,4 +1,4 @@
-//! Whether a reduced graph claims to know more than the full one.
+//! Consistency of a reduced graph: it is not to claim more than the full one.
 //!
 //! A reduced graph is conservative when its information Λ on the kept variables is at most the full graph's marginal
 //! Λ_t in every direction, `Λ ≤ Λ_t` in the Loewner order; covariances are then never too small. The largest eigenvalue
@@ -11,15 +11,15 @@
 use std::collections::BTreeMap;
 
 use evergraph_model::{Graph, GraphError, VariableId};
-use evergraph_solver::{Relinearization, Settings};
 use nalgebra::{DMatrix, DMatrixView, DVector};
 use serde::Serialize;
 
+use crate::comparison::Comparison;
 use crate::factorized::Factorized;
 use crate::pairs::Pairs;
-use crate::solved::{DivergenceError, Solved};
+use crate::solved::DivergenceError;
 
-/// Whether a reduced graph is conservative relative to the full one, both at the full graph's optimum.
+/// The information of a reduced graph relative to the full one's, both at the full graph's optimum.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Consistency {
@@ -56,37 +56,27 @@ const ITERATIONS: usize = 100;
 /// A marginal covariance counts as too small when it is so by this share.
 const ROUNDING: f64 = 1e-6;
 
-impl Consistency {
-    /// Compares `reduced` with `full`, both at the full graph's optimum; `kept` pairs variables of the full graph with
-    /// those of the reduced graph, all of which are named. Fixed variables are certain in both.
+impl Comparison<'_> {
+    /// Compares what the reduced graph claims to know with what the full one knows. Fixed variables are certain in both.
     ///
-    /// Costs two sparse factorizations, a hundred solutions with them, and the marginal covariances of all variables.
+    /// Costs a hundred solutions with the factorization of the full graph, and the marginal covariances of all variables.
     ///
     /// # Errors
     /// [`DivergenceError`].
-    pub fn of(
-        full: Solved<'_>,
-        reduced: Solved<'_>,
-        kept: &[(VariableId, VariableId)],
-        settings: &Settings,
-    ) -> Result<Self, DivergenceError> {
-        let settings = settings.with_relinearization(Relinearization::NEVER);
-        let pairs = Pairs::new(full, reduced, kept)?;
-        let all = Factorized::of(full.graph, full.estimates, |_| true, &settings)
-            .map_err(DivergenceError::Full)?;
-        let points = pairs.points();
-        let here = Factorized::of(reduced.graph, &points, |_| true, &settings)
-            .map_err(DivergenceError::Reduced)?;
-        let (largest_eigenvalue, residual) = largest_eigenvalue(&pairs, &all)?;
+    pub fn consistency(&self) -> Result<Consistency, DivergenceError> {
+        let Self { pairs, all, here, .. } = self;
+        let (largest_eigenvalue, residual) = largest_eigenvalue(pairs, all)?;
         if !largest_eigenvalue.is_finite() {
             return Err(DivergenceError::NotFinite { quantity: "largest eigenvalue" });
         }
-        let (overconfident, worst) = marginals(&pairs, &all, &here)?;
-        let variables = kept.len();
-        Ok(Self { largest_eigenvalue, residual, variables, overconfident, worst })
+        let (overconfident, worst) = marginals(pairs, all, here)?;
+        let variables = pairs.count();
+        Ok(Consistency { largest_eigenvalue, residual, variables, overconfident, worst })
     }
+}
 
-    /// Whether the reduced graph claims no more than the full one, but for rounding, in any direction.
+impl Consistency {
+    /// True if the reduced graph claims no more than the full one in any direction, but for rounding.
     pub fn is_conservative(&self) -> bool {
         self.largest_eigenvalue <= 1.0 + ROUNDING
     }
@@ -131,7 +121,7 @@ fn largest_eigenvalue(pairs: &Pairs<'_>, all: &Factorized) -> Result<(f64, f64),
     let model = Model::of(graph, &pairs.points)?;
     let covariances = all.smoother.covariances();
     let inner = all.smoother.graph();
-    // Where each scalar of the reduced graph is in the factorization of the full one.
+    // The place of each scalar of the reduced graph in the factorization of the full one.
     let mut places = vec![None; graph.tangent_len()];
     for index in graph.unknown_indices() {
         let variable = graph.variable_id(index);

@@ -24,11 +24,11 @@
 //! there. What anchors the graphs (a gauge prior) has to be in both.
 
 use evergraph_model::VariableId;
-use evergraph_solver::{Relinearization, Settings};
+use evergraph_solver::Settings;
 use serde::Serialize;
 
+use crate::comparison::Comparison;
 use crate::factorized::Factorized;
-use crate::pairs::Pairs;
 use crate::solved::{DivergenceError, Solved};
 
 /// What a reduced graph has lost, in nats, and by how much it moved.
@@ -58,10 +58,7 @@ pub struct Divergence {
 }
 
 impl Divergence {
-    /// Compares `reduced` with `full`, both at their optima; `kept` pairs variables of the full graph
-    /// with those of the reduced graph, all of which are named. `settings` say how to factorize.
-    ///
-    /// Costs three sparse factorizations and a joint covariance for each factor of the reduced graph.
+    /// The divergence of `reduced` from `full`: see [`Comparison::new`] and [`Comparison::divergence`].
     ///
     /// # Errors
     /// [`DivergenceError`].
@@ -71,23 +68,34 @@ impl Divergence {
         kept: &[(VariableId, VariableId)],
         settings: &Settings,
     ) -> Result<Self, DivergenceError> {
-        // What is factorized is looked at where it is.
-        let settings = settings.with_relinearization(Relinearization::NEVER);
-        let pairs = Pairs::new(full, reduced, kept)?;
-        let all = Factorized::of(full.graph, full.estimates, |_| true, &settings)
-            .map_err(DivergenceError::Full)?;
-        let removed =
-            Factorized::of(full.graph, full.estimates, |id| !pairs.is_kept(id), &settings)
-                .map_err(DivergenceError::Full)?;
-        let here = Factorized::of(reduced.graph, &pairs.points(), |_| true, &settings)
-            .map_err(DivergenceError::Reduced)?;
-        let log_det_ratio = all.smoother.log_det_information()
-            - removed.smoother.log_det_information()
-            - here.smoother.log_det_information();
-        drop((removed, here));
+        Comparison::new(full, reduced, kept, settings)?.divergence()
+    }
 
-        let shifts = pairs.shifts()?;
-        let (trace, mean) = pairs.sums(&all)?;
+    /// The loss of a kept dimension: the covariance's part over n.
+    pub fn per_degree_of_freedom(&self) -> f64 {
+        self.covariance / self.degrees_of_freedom as f64
+    }
+}
+
+impl Comparison<'_> {
+    /// The divergence of the reduced graph from the full one.
+    ///
+    /// Costs a sparse factorization over the removed variables, and a joint covariance for each factor of the reduced
+    /// graph.
+    ///
+    /// # Errors
+    /// [`DivergenceError`].
+    pub fn divergence(&self) -> Result<Divergence, DivergenceError> {
+        let full = self.pairs.full;
+        let is_removed = |id| !self.pairs.is_kept(id);
+        let removed = Factorized::of(full.graph, full.estimates, is_removed, &self.settings)
+            .map_err(DivergenceError::Full)?;
+        let log_det_ratio = self.all.smoother.log_det_information()
+            - removed.smoother.log_det_information()
+            - self.here.smoother.log_det_information();
+
+        let shifts = self.pairs.shifts()?;
+        let (trace, mean) = self.pairs.sums(&self.all)?;
         let n = shifts.degrees_of_freedom;
         let covariance = 0.5 * (trace - n as f64 + log_det_ratio);
         let mean = 0.5 * mean;
@@ -100,8 +108,8 @@ impl Divergence {
                 return Err(DivergenceError::NotFinite { quantity });
             }
         }
-        Ok(Self {
-            variables: kept.len(),
+        Ok(Divergence {
+            variables: self.pairs.count(),
             degrees_of_freedom: n,
             covariance,
             mean,
@@ -111,10 +119,5 @@ impl Divergence {
             rms_shift_m: shifts.rms,
             max_shift_m: shifts.max,
         })
-    }
-
-    /// What a kept dimension has lost: the covariance's part over n.
-    pub fn per_degree_of_freedom(&self) -> f64 {
-        self.covariance / self.degrees_of_freedom as f64
     }
 }

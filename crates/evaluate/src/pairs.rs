@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, DMatrixView, DVector, Vector3};
 use crate::factorized::Factorized;
 use crate::solved::{DivergenceError, Solved};
 
-/// How far kept variables are from where they were.
+/// Distances of kept variables from where they were.
 pub(crate) struct Shifts {
     pub(crate) degrees_of_freedom: usize,
     pub(crate) mean: f64,
@@ -17,6 +17,7 @@ pub(crate) struct Shifts {
 }
 
 /// The kept variables in both graphs.
+#[derive(Debug)]
 pub(crate) struct Pairs<'a> {
     pub(crate) full: Solved<'a>,
     pub(crate) reduced: Solved<'a>,
@@ -81,6 +82,11 @@ impl<'a> Pairs<'a> {
         }
     }
 
+    /// Number of kept variables.
+    pub(crate) fn count(&self) -> usize {
+        self.kept.len()
+    }
+
     pub(crate) fn is_kept(&self, in_full: VariableId) -> bool {
         self.kept.binary_search(&in_full).is_ok()
     }
@@ -140,7 +146,7 @@ fn traced(jacobian: &DMatrixView<'_, f64>, sigma: &DMatrix<f64>) -> f64 {
     (jacobian * sigma).iter().zip(jacobian.iter()).map(|(a, b)| a * b).sum()
 }
 
-/// Where a variable is, if it is anywhere: poses and points are.
+/// The position of a pose or a point; `None` for anything else.
 fn position(value: ValueRef<'_>) -> Option<Vector3<f64>> {
     let plane = |x, y| Vector3::new(x, y, 0.0);
     let pose2 = value.get::<Pose2>().map(|it| plane(it.x(), it.y()));

@@ -13,7 +13,7 @@ pub struct Solved<'a> {
     pub estimates: &'a Values,
 }
 
-/// Why two graphs cannot be compared.
+/// Reasons for which two graphs cannot be compared.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum DivergenceError {

@@ -1,7 +1,9 @@
 //! The sparse divergence against plain dense algebra, and what it refuses.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use evergraph_evaluate::{Divergence, DivergenceError, Solved, information_nonzeros};
+use evergraph_evaluate::{
+    Comparison, Consistency, Divergence, DivergenceError, Solved, information_nonzeros,
+};
 use evergraph_factors::{BetweenPose2, Prior, RelativePosition2};
 use evergraph_model::{
     Graph, Kernel, LieGroup, Noise, Point2, Pose2, Robust, Value, Values, VariableId,
@@ -68,6 +70,20 @@ fn without(full: &Smoother, nodes: &[VariableId], options: Options) -> Smoother 
     reduced
 }
 
+/// Both comparisons, on one factorization.
+fn compared(full: &Smoother, reduced: &Smoother) -> (Divergence, Consistency) {
+    let (was, is) = (full.estimates().unwrap(), reduced.estimates().unwrap());
+    let kept: Vec<_> = reduced.graph().variables().map(|id| (id, id)).collect();
+    let comparison = Comparison::new(
+        Solved { graph: full.graph(), estimates: &was },
+        Solved { graph: reduced.graph(), estimates: &is },
+        &kept,
+        &Settings::default(),
+    )
+    .unwrap();
+    (comparison.divergence().unwrap(), comparison.consistency().unwrap())
+}
+
 fn compare(full: &Smoother, reduced: &Smoother) -> Result<Divergence, DivergenceError> {
     let (was, is) = (full.estimates().unwrap(), reduced.estimates().unwrap());
     let kept: Vec<_> = reduced.graph().variables().map(|id| (id, id)).collect();
@@ -112,8 +128,9 @@ fn log_det(m: &DMatrix<f64>) -> f64 {
     2.0 * m.clone().cholesky().unwrap().l().diagonal().iter().map(|x| x.ln()).sum::<f64>()
 }
 
-/// Covariance and mean, straight from the definition: invert, crop, invert.
-fn dense(full: &Smoother, reduced: &Smoother) -> (f64, f64) {
+/// Covariance P of the full graph and information Λ of the reduced one, and the step between their optima: straight from
+/// the definition, by inverting.
+fn dense(full: &Smoother, reduced: &Smoother) -> (DMatrix<f64>, DMatrix<f64>, DVector<f64>) {
     let kept: Vec<VariableId> = reduced.graph().variables().collect();
     let gone = full.graph().variables().filter(|id| !kept.contains(id));
     let order: Vec<VariableId> = kept.iter().copied().chain(gone).collect();
@@ -129,9 +146,24 @@ fn dense(full: &Smoother, reduced: &Smoother) -> (f64, f64) {
         was.kind().local(was.storage(), is.storage(), &mut moved);
         d.extend(moved);
     }
-    let d = DVector::from_vec(d);
-    let covariance = 0.5 * ((&l * &p).trace() - n as f64 - log_det(&l) - log_det(&p));
-    (covariance, 0.5 * d.dot(&(l * &d)))
+    (p, l, DVector::from_vec(d))
+}
+
+/// The largest eigenvalue of the reduced information, and the number of variables whose covariance is too small.
+fn dense_consistency(p: &DMatrix<f64>, l: &DMatrix<f64>, dims: &[usize]) -> (f64, usize) {
+    let root = p.clone().cholesky().unwrap().l();
+    let largest = (root.transpose() * l * &root).symmetric_eigenvalues().max();
+    let claimed = l.clone().try_inverse().unwrap();
+    let (mut start, mut count) = (0, 0);
+    for &dim in dims {
+        let [right, claimed] =
+            [p, &claimed].map(|m| m.view((start, start), (dim, dim)).into_owned());
+        let root = right.cholesky().unwrap().l().try_inverse().unwrap();
+        let ratios = (&root * claimed * root.transpose()).symmetric_eigenvalues();
+        count += usize::from(ratios.min() < 1.0 - 1e-6);
+        start += dim;
+    }
+    (largest, count)
 }
 
 proptest! {
@@ -151,8 +183,19 @@ proptest! {
         gone.dedup();
         let options = (if paper { Options::paper() } else { Options::default() }).with_topology(if tree { Topology::ChowLiu } else { Topology::Dense });
         let reduced = without(&full, &gone, options);
-        let found = compare(&full, &reduced).unwrap();
-        let (covariance, mean) = dense(&full, &reduced);
+        let (found, consistency) = compared(&full, &reduced);
+        let (p, l, d) = dense(&full, &reduced);
+        let n = p.nrows() as f64;
+        let graph = reduced.graph();
+        let dims: Vec<usize> = graph.variables().map(|id| graph.dim_at(graph.variable_index(id).unwrap())).collect();
+        let ratio = -log_det(&l) - log_det(&p);
+        let covariance = 0.5 * ((&l * &p).trace() - n + ratio);
+        let mean = 0.5 * d.dot(&(&l * &d));
+        prop_assert!((found.log_det_ratio - ratio).abs() < 1e-7 * (1.0 + ratio.abs()), "{found:?} {ratio}");
+        let (largest, overconfident) = dense_consistency(&p, &l, &dims);
+        prop_assert!((consistency.largest_eigenvalue - largest).abs() < 1e-6 * largest, "{consistency:?} {largest}");
+        prop_assert_eq!(consistency.overconfident, overconfident, "{:?}", consistency);
+        prop_assert_eq!(consistency.is_conservative(), largest < 1.0 + 1e-6, "{:?}", consistency);
         prop_assert!((found.covariance - covariance).abs() < 1e-7 * (1.0 + covariance), "{found:?} {covariance}");
         prop_assert!((found.mean - mean).abs() < 1e-9 * (1.0 + mean), "{found:?} {mean}");
         prop_assert!(found.covariance > -1e-8);

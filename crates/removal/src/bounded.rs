@@ -1,8 +1,8 @@
 //! Terms of a tree whose information is below the target's.
 
-use nalgebra::DMatrix;
-
 use std::ops::Range;
+
+use nalgebra::DMatrix;
 
 use crate::conservative::Program;
 use crate::covariance::{CovarianceRoot, information_root};
@@ -48,8 +48,24 @@ pub(crate) fn bounded(
     );
     let fallback = (gap.is_none() && consistency == Consistency::Conservative)
         .then_some(Fallback::ScaledForConsistency);
-    let certificate = Whitened::of(target, &potentials).certificate(gap);
+    let (potentials, certificate) = certified(target, potentials, gap);
     Some(Bounded { potentials, certificate, fallback })
+}
+
+/// The terms with their certificate. Rounding on the way from weights to terms may leave them above the bound; they are
+/// scaled below it.
+fn certified(
+    target: &Target,
+    potentials: Vec<Potential>,
+    gap: Option<f64>,
+) -> (Vec<Potential>, Certificate) {
+    let certificate = Whitened::of(target, &potentials).certificate(gap);
+    if certificate.largest_eigenvalue <= 1.0 {
+        return (potentials, certificate);
+    }
+    let potentials = scaled(&potentials, certificate.largest_eigenvalue);
+    let certificate = Whitened::of(target, &potentials).certificate(gap);
+    (potentials, certificate)
 }
 
 /// The tree's information times the largest factor that bounds it.
@@ -58,11 +74,8 @@ fn scaled(potentials: &[Potential], largest: f64) -> Vec<Potential> {
     potentials.iter().map(|p| Potential { rows: &p.rows * scale, ..p.clone() }).collect()
 }
 
-/// The terms of least divergence, and the gap to it in nats.
-///
-/// The weights are on the rows of the tree's terms, one block for each term, so that directions that no term sees stay
-/// unseen. Where all is known they may be on any information with the sparsity of the tree: rows on each variable alone
-/// are added, and products of the rows of an edge with those of one of its variables.
+/// The terms of least divergence, and the gap to it in nats: of all information with the sparsity of the tree where the
+/// target is regular, else of weights on the rows of the tree's terms, so that directions that no term sees stay unseen.
 fn least_divergence(
     target: &Target,
     tree: &Tree,
@@ -70,28 +83,29 @@ fn least_divergence(
     whitened: &Whitened,
     largest: f64,
 ) -> Option<(Vec<Potential>, f64)> {
-    if target.is_regular()
-        && let Some(spaces) = Spaces::of_tree(target, tree, potentials)
-    {
+    let on_tree = || {
+        let spaces = target.is_regular().then(|| Spaces::of_tree(target, tree, potentials))??;
         let (y, gap) = spaces.solve(target, largest)?;
-        let information = spaces.information(target, &y);
-        return Some((conditionals(target, tree, information)?, gap));
-    }
-    let spaces = Spaces::of_terms(potentials, whitened);
-    let (y, gap) = spaces.solve(target, largest)?;
-    let bounded = potentials.iter().zip(whitened.starts.windows(2)).map(|(term, w)| {
-        let n = w[1] - w[0];
-        let root = y.view((w[0], w[0]), (n, n)).into_owned().cholesky()?.l().transpose();
-        Some(Potential { rows: root * &term.rows, ..term.clone() })
-    });
-    Some((bounded.collect::<Option<_>>()?, gap))
+        Some((conditionals(target, tree, spaces.information(target, &y))?, gap))
+    };
+    let on_terms = || {
+        let spaces = Spaces::of_terms(potentials, whitened);
+        let (y, gap) = spaces.solve(target, largest)?;
+        let bounded = potentials.iter().zip(whitened.starts.windows(2)).map(|(term, w)| {
+            let n = w[1] - w[0];
+            let root = y.view((w[0], w[0]), (n, n)).into_owned().cholesky()?.l().transpose();
+            Some(Potential { rows: root * &term.rows, ..term.clone() })
+        });
+        Some((bounded.collect::<Option<_>>()?, gap))
+    };
+    on_tree().or_else(on_terms)
 }
 
 /// Rows that weights are on.
 struct Spaces {
     terms: Vec<Potential>,
     pattern: Vec<(usize, usize)>,
-    /// How many rows belong to the tree itself.
+    /// Number of the rows that belong to the tree itself.
     own: usize,
 }
 
@@ -152,13 +166,7 @@ impl Spaces {
 
     /// `Σ G_iᵀ Y_ij G_j` in the columns of the blanket.
     fn information(&self, target: &Target, y: &DMatrix<f64>) -> DMatrix<f64> {
-        let mut rows = DMatrix::zeros(y.nrows(), target.dim());
-        let mut top = 0;
-        for term in &self.terms {
-            let own = term.spread(target);
-            rows.rows_mut(top, own.nrows()).copy_from(&own);
-            top += own.nrows();
-        }
+        let rows = Potential::stack(target, &self.terms);
         rows.tr_mul(&(y * &rows))
     }
 }

@@ -21,7 +21,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 /// The solver stops when the divergence is no further than this from the least, in nats.
 const GAP: f64 = 1e-6;
 
-/// Iterations before the solver gives up. A usual run takes about ten.
+/// Iterations before the solver gives up.
 const MOST_ITERATIONS: usize = 50;
 
 /// The convex program.
@@ -52,7 +52,7 @@ struct Point {
     y: DMatrix<f64>,
     /// M.
     information: DMatrix<f64>,
-    /// Multiplier of `M ≤ I`.
+    /// Multiplier Z of `M ≤ I`.
     multiplier: DMatrix<f64>,
 }
 
@@ -64,8 +64,8 @@ struct Factors {
 }
 
 impl Program {
-    /// Solves the program by a primal-dual interior point method. It begins at the start divided by twice its `largest`
-    /// eigenvalue. `None` when rounding ends it before the gap is closed.
+    /// Solves the program by a primal-dual interior point method with Mehrotra's predictor and corrector. It begins at the
+    /// start divided by twice its `largest` eigenvalue. `None` when rounding ends it before the gap is closed.
     ///
     /// O(iterations · (rank³ + pattern³)).
     pub(crate) fn solve(&self, largest: f64) -> Option<Weights> {
@@ -74,29 +74,23 @@ impl Program {
         let rank = self.columns.nrows();
         let y = &self.start * (0.5 / largest);
         let information = self.sum(&y);
-        let identity = DMatrix::identity(rank, rank);
-        let multiplier = (&identity - &information).cholesky()?.inverse() * BARRIER;
-        let mut point = Point { y, information, multiplier };
+        let slack = (DMatrix::identity(rank, rank) - &information).cholesky()?;
+        let mut point = Point { y, information, multiplier: slack.inverse() * BARRIER };
         let mut factors = point.factors()?;
         let gram = self.columns.tr_mul(&self.columns);
         for _ in 0..MOST_ITERATIONS {
             // tr Z S, and half of it in nats.
             let product = point.multiplier.trace() - point.multiplier.dot(&point.information);
             let gap = 0.5 * product;
-            let terms = self.terms(&point, &factors);
-            let newton = terms.newton(self)?;
-            // Mehrotra's rule: the step without a barrier says how much of one is needed, and what it leaves out to
-            // second order.
-            let none = DMatrix::zeros(rank, rank);
-            let affine = self.step(&terms, &newton, &gram, &point, &factors, 0.0, &none);
-            if gap <= GAP && affine.decrement <= GAP {
+            let newton = Newton::at(self, &gram, &point, &factors)?;
+            // The step without a barrier tells how much of one is needed, and what is missing to second order.
+            let (affine, decrement) = newton.step(0.0, None);
+            if gap <= GAP && decrement <= GAP {
                 return Some(Weights { y: point.y, gap });
             }
-            let share = point.share(&affine.to)?;
-            let mu = product / rank as f64 * (1.0 - share).powi(3).max(1e-4);
-            let second = factors.second_order(&affine.to);
-            let step = self.step(&terms, &newton, &gram, &point, &factors, mu, &second);
-            (point, factors) = point.advanced(&step.to)?;
+            let mu = product / rank as f64 * (1.0 - point.share(&affine)?).powi(3).max(1e-4);
+            let (step, _) = newton.step(mu, Some(factors.second_order(&affine)));
+            (point, factors) = point.advanced(&step)?;
         }
         None
     }
@@ -105,75 +99,89 @@ impl Program {
     fn sum(&self, y: &DMatrix<f64>) -> DMatrix<f64> {
         symmetric(&self.columns * y * self.columns.transpose())
     }
+}
 
-    fn terms(&self, point: &Point, factors: &Factors) -> Terms {
+/// The linear system of a step:
+///
+/// ```text
+/// P dY P + sym(Q dY W) = P - T - μ W + Bᵀ C B    on the pattern
+/// dZ = μ S⁻¹ - Z + sym(Z dM S⁻¹) - C
+/// P = Bᵀ M⁻¹ B,  Q = Bᵀ Z B,  W = Bᵀ S⁻¹ B,  T = Bᵀ B
+/// ```
+///
+/// It leads to the point of the central path where `Z S = μ I`; C is what the linear model leaves out of `Z S`.
+struct Newton<'a> {
+    program: &'a Program,
+    gram: &'a DMatrix<f64>,
+    point: &'a Point,
+    factors: &'a Factors,
+    /// P.
+    information: DMatrix<f64>,
+    /// W.
+    slack: DMatrix<f64>,
+    /// The factor of the matrix on the left.
+    matrix: Factored,
+}
+
+impl<'a> Newton<'a> {
+    fn at(
+        program: &'a Program,
+        gram: &'a DMatrix<f64>,
+        point: &'a Point,
+        factors: &'a Factors,
+    ) -> Option<Self> {
         let through = |factor: &Factored| {
-            let mut half = self.columns.clone();
+            let mut half = program.columns.clone();
             factor.l_dirty().solve_lower_triangular_mut(&mut half);
             half.tr_mul(&half)
         };
-        Terms {
-            information: through(&factors.information),
-            multiplier: self.columns.tr_mul(&(&point.multiplier * &self.columns)),
-            slack: through(&factors.slack),
-        }
+        let (information, slack) = (through(&factors.information), through(&factors.slack));
+        let multiplier = program.columns.tr_mul(&(&point.multiplier * &program.columns));
+        let matrix = matrix(&program.pattern, &information, &multiplier, &slack).cholesky()?;
+        Some(Self { program, gram, point, factors, information, slack, matrix })
     }
 
-    /// The Newton step towards the point of the central path where `Z S = μ I`, with C what the affine step leaves out:
-    ///
-    /// ```text
-    /// P dY P + sym(Q dY W) = P - T - μ W + Bᵀ C B    on the pattern
-    /// dZ = μ S⁻¹ - Z + sym(Z dM S⁻¹) - C_Z
-    /// P = Bᵀ M⁻¹ B,  Q = Bᵀ Z B,  W = Bᵀ S⁻¹ B,  T = Bᵀ B
-    /// ```
-    #[allow(clippy::too_many_arguments)]
-    fn step(
-        &self,
-        terms: &Terms,
-        newton: &Factored,
-        gram: &DMatrix<f64>,
-        point: &Point,
-        factors: &Factors,
-        mu: f64,
-        second: &DMatrix<f64>,
-    ) -> Step {
-        let corrected = self.columns.tr_mul(&(second * &self.columns));
-        let right = DVector::from_iterator(
-            self.pattern.len(),
-            self.pattern.iter().map(|&at| {
-                scale(at)
-                    * (terms.information[at] - gram[at] - mu * terms.slack[at] + corrected[at])
-            }),
-        );
-        let solution = newton.solve(&right);
-        let decrement = 0.5 * right.dot(&solution);
-        let mut y = DMatrix::zeros(self.start.nrows(), self.start.ncols());
-        for (&(i, j), entry) in self.pattern.iter().zip(&solution) {
+    /// The step, and the Newton decrement: half of the gradient of the Lagrangian times the step, in nats.
+    fn step(&self, mu: f64, second: Option<DMatrix<f64>>) -> (Point, f64) {
+        let Program { columns, pattern, start } = self.program;
+        let second = second.unwrap_or_else(|| self.point.multiplier.map(|_| 0.0));
+        let corrected = columns.tr_mul(&(&second * columns));
+        let entry = |at| self.information[at] - self.gram[at] - mu * self.slack[at] + corrected[at];
+        let right = pattern.iter().map(|&at| scale(at) * entry(at));
+        let right = DVector::from_iterator(pattern.len(), right);
+        let solution = self.matrix.solve(&right);
+        let mut y = DMatrix::zeros(start.nrows(), start.ncols());
+        for (&(i, j), entry) in pattern.iter().zip(&solution) {
             let entry = entry / scale((i, j));
             y[(i, j)] = entry;
             y[(j, i)] = entry;
         }
-        let information = self.sum(&y);
-        let product = factors.slack.solve(&(&information * &point.multiplier));
-        let inverse = factors.slack.inverse();
-        let multiplier = inverse * mu - &point.multiplier + symmetric(product) - second;
-        Step { to: Point { y, information, multiplier }, decrement }
+        let information = self.program.sum(&y);
+        let slack = &self.factors.slack;
+        let product = symmetric(slack.solve(&(&information * &self.point.multiplier)));
+        let multiplier = slack.inverse() * mu - &self.point.multiplier + product - second;
+        (Point { y, information, multiplier }, 0.5 * right.dot(&solution))
     }
 }
 
-/// A step along the path.
-struct Step {
-    to: Point,
-    /// Half of the gradient of the Lagrangian times the step: the distance from the optimum of the program without a
-    /// bound, in nats.
-    decrement: f64,
-}
-
-impl Factors {
-    /// What a step leaves out of `Z S` to second order: `sym(dZ dS S⁻¹)`, `dS = -dM`.
-    fn second_order(&self, step: &Point) -> DMatrix<f64> {
-        -symmetric(self.slack.solve(&(&step.information * &step.multiplier)))
+/// The matrix of `dY -> P dY P + sym(Q dY W)` on a pattern; its lower triangle.
+fn matrix(
+    pattern: &[(usize, usize)],
+    p: &DMatrix<f64>,
+    q: &DMatrix<f64>,
+    w: &DMatrix<f64>,
+) -> DMatrix<f64> {
+    let mut matrix = DMatrix::zeros(pattern.len(), pattern.len());
+    for (column, &(k, l)) in pattern.iter().enumerate() {
+        let columns = |m: &DMatrix<f64>| (m.column(k).into_owned(), m.column(l).into_owned());
+        let ((pk, pl), (qk, ql), (wk, wl)) = (columns(p), columns(q), columns(w));
+        for (row, &(i, j)) in pattern.iter().enumerate().skip(column) {
+            let own = pk[i] * pl[j] + pl[i] * pk[j];
+            let mixed = qk[i] * wl[j] + ql[i] * wk[j] + wk[i] * ql[j] + wl[i] * qk[j];
+            matrix[(row, column)] = scale((k, l)) * scale((i, j)) * (0.5 * own + 0.25 * mixed);
+        }
     }
+    matrix
 }
 
 /// Off-diagonal entries of a symmetric matrix as a vector count √2, so that dot products agree.
@@ -183,6 +191,13 @@ fn scale((i, j): (usize, usize)) -> f64 {
 
 fn symmetric(matrix: DMatrix<f64>) -> DMatrix<f64> {
     0.5 * (&matrix + matrix.transpose())
+}
+
+impl Factors {
+    /// The terms of second order that a step leaves out of `Z S`: `sym(dZ dS S⁻¹)`, `dS = -dM`.
+    fn second_order(&self, step: &Point) -> DMatrix<f64> {
+        -symmetric(self.slack.solve(&(&step.information * &step.multiplier)))
+    }
 }
 
 impl Point {
@@ -222,32 +237,6 @@ impl Point {
             information: &self.information + &step.information * share,
             multiplier: &self.multiplier + &step.multiplier * share,
         }
-    }
-}
-
-/// `P`, `Q` and `W` of [`Program::step`].
-struct Terms {
-    information: DMatrix<f64>,
-    multiplier: DMatrix<f64>,
-    slack: DMatrix<f64>,
-}
-
-impl Terms {
-    /// The factor of the matrix of `dY -> P dY P + sym(Q dY W)` on the pattern.
-    fn newton(&self, program: &Program) -> Option<Factored> {
-        let (p, q, w) = (&self.information, &self.multiplier, &self.slack);
-        let n = program.pattern.len();
-        let mut hessian = DMatrix::zeros(n, n);
-        for (column, &(k, l)) in program.pattern.iter().enumerate() {
-            let columns = |m: &DMatrix<f64>| (m.column(k).into_owned(), m.column(l).into_owned());
-            let ((pk, pl), (qk, ql), (wk, wl)) = (columns(p), columns(q), columns(w));
-            for (row, &(i, j)) in program.pattern.iter().enumerate().skip(column) {
-                let own = pk[i] * pl[j] + pl[i] * pk[j];
-                let mixed = qk[i] * wl[j] + ql[i] * wk[j] + wk[i] * ql[j] + wl[i] * qk[j];
-                hessian[(row, column)] = scale((k, l)) * scale((i, j)) * (0.5 * own + 0.25 * mixed);
-            }
-        }
-        hessian.cholesky()
     }
 }
 

@@ -10,25 +10,22 @@ use crate::target::Target;
 /// or more; the information of pairs is then taken from `R_t` itself.
 const TRUSTED: f64 = 1e-5;
 
-/// `S` with `Σ = S Sᵀ`, held poses held where they are: `S = R⁻¹`. Exists when the target is regular
-/// but for the common motions that nothing sees.
+/// `S` with `Σ = S Sᵀ`, held poses held where they are: the [right inverse](Target::right_inverse) of a target that is
+/// regular but for the common motions that nothing sees.
 ///
 /// One inverse serves all pairs: what is known of a pair follows from its rows of S at a cost linear
 /// in the blanket, where eliminating all others from `R_t` is cubic.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct CovarianceRoot {
-    s: DMatrix<f64>,
     trusted: bool,
 }
 
 impl CovarianceRoot {
-    /// O(n³).
+    /// O(n³) the first time that the target's inverse is asked for.
     pub(crate) fn of(target: &Target) -> Option<Self> {
         let held: usize = target.held().map(|held| target.dim_of(held)).sum();
-        if target.rank() + held != target.dim() {
-            return None;
-        }
-        Some(Self { s: target.right_inverse(), trusted: target.is_well_conditioned() })
+        let is_regular = target.rank() + held == target.dim();
+        is_regular.then(|| Self { trusted: target.is_well_conditioned() })
     }
 
     /// Itself, if its numbers are good enough to make factors of.
@@ -38,11 +35,11 @@ impl CovarianceRoot {
 
     /// The rows of some members under each other.
     pub(crate) fn rows(&self, target: &Target, members: &[usize]) -> DMatrix<f64> {
-        let mut rows =
-            DMatrix::zeros(members.iter().map(|&m| target.dim_of(m)).sum(), self.s.ncols());
+        let s = target.right_inverse();
+        let mut rows = DMatrix::zeros(members.iter().map(|&m| target.dim_of(m)).sum(), s.ncols());
         let mut top = 0;
         for &m in members {
-            let own = self.s.rows_range(target.columns(m));
+            let own = s.rows_range(target.columns(m));
             rows.rows_mut(top, own.nrows()).copy_from(&own);
             top += own.nrows();
         }
@@ -53,7 +50,8 @@ impl CovarianceRoot {
     pub(crate) fn seen(&self, target: &Target, pose: usize, other: usize) -> Option<DMatrix<f64>> {
         let motion = carried(&target.members[pose].value, &target.members[other].value)?;
         let mut seen = self.rows(target, &[other]);
-        seen.gemm(-1.0, &motion, &self.s.rows_range(target.columns(pose)), 1.0);
+        let own = target.right_inverse().rows_range(target.columns(pose));
+        seen.gemm(-1.0, &motion, &own, 1.0);
         Some(seen)
     }
 
@@ -77,17 +75,19 @@ impl CovarianceRoot {
 }
 
 impl Target {
-    /// S with `R_t S = I`, zero in the rows of columns that hold no pivot. O(rank³).
-    pub(crate) fn right_inverse(&self) -> DMatrix<f64> {
-        let inverse = upper_inverse(&self.root.select_columns(&self.pivots));
-        let mut s = DMatrix::zeros(self.dim(), self.rank());
-        for (row, &column) in self.pivots.iter().enumerate() {
-            s.set_row(column, &inverse.row(row));
-        }
-        s
+    /// S with `R_t S = I`, zero in the rows of columns that hold no pivot. O(rank³) the first time.
+    pub(crate) fn right_inverse(&self) -> &DMatrix<f64> {
+        self.inverse.get_or_init(|| {
+            let inverse = upper_inverse(&self.root.select_columns(&self.pivots));
+            let mut s = DMatrix::zeros(self.dim(), self.rank());
+            for (row, &column) in self.pivots.iter().enumerate() {
+                s.set_row(column, &inverse.row(row));
+            }
+            s
+        })
     }
 
-    /// Whether [`right_inverse`](Self::right_inverse) has half of the digits or more.
+    /// True if [`right_inverse`](Self::right_inverse) has half of the digits or more.
     pub(crate) fn is_well_conditioned(&self) -> bool {
         let pivots = self.pivots.iter().enumerate();
         let is_large = |(row, &column): (usize, &usize)| {

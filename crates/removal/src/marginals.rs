@@ -127,6 +127,7 @@ mod tests {
             held: Vec::new(),
             explained: 0.0,
             free: 0,
+            inverse: std::cell::OnceCell::new(),
         }
     }
 

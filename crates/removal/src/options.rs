@@ -63,10 +63,10 @@ pub enum Recovery {
 }
 
 impl Recovery {
-    /// Whether a new unary term can be merged with this factor: both have then one form.
+    /// True if a new unary term can be merged with this factor, because both have one form.
     pub(crate) fn merges(self, factor: &dyn Factor) -> bool {
         matches!(factor.downcast::<Linear>(), Some((_, None)))
-            || self == Self::Nonlinear && factor.name().starts_with("Prior")
+            || self == Self::Nonlinear && factor.name().starts_with("Prior<")
     }
 }
 

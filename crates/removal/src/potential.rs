@@ -188,7 +188,7 @@ impl Potential {
     }
 
     /// `G` in the columns of the whole blanket.
-    pub(crate) fn spread(&self, target: &Target) -> DMatrix<f64> {
+    fn spread(&self, target: &Target) -> DMatrix<f64> {
         let mut rows = DMatrix::zeros(self.rows.nrows(), target.dim());
         let mut source = 0;
         for &m in &self.members {
@@ -196,6 +196,19 @@ impl Potential {
             let dim = columns.len();
             rows.columns_range_mut(columns).copy_from(&self.rows.columns(source, dim));
             source += dim;
+        }
+        rows
+    }
+
+    /// The rows of some terms under each other, in the columns of the whole blanket.
+    pub(crate) fn stack(target: &Target, potentials: &[Self]) -> DMatrix<f64> {
+        let count = potentials.iter().map(|p| p.rows.nrows()).sum();
+        let mut rows = DMatrix::zeros(count, target.dim());
+        let mut top = 0;
+        for potential in potentials {
+            let own = potential.spread(target);
+            rows.rows_mut(top, own.nrows()).copy_from(&own);
+            top += own.nrows();
         }
         rows
     }
@@ -237,14 +250,7 @@ pub(crate) struct Sum {
 impl Sum {
     /// O((rows) n²).
     pub(crate) fn of(target: &Target, potentials: &[Potential]) -> Self {
-        let count = potentials.iter().map(|p| p.rows.nrows()).sum();
-        let mut rows = DMatrix::zeros(count, target.dim());
-        let mut top = 0;
-        for potential in potentials {
-            let own = potential.spread(target);
-            rows.rows_mut(top, own.nrows()).copy_from(&own);
-            top += own.nrows();
-        }
+        let rows = Potential::stack(target, potentials);
         // Every vector of null(Λ_t) is in the null space of each marginal, so null(Λ') contains it;
         // the two are equal when the ranks are. Columns of held poses depend on the others.
         let mut root = rows.clone();

@@ -29,8 +29,8 @@ pub(crate) struct Replacement {
     pub(crate) rows: DMatrix<f64>,
     /// The whitened residual at the estimate, negated: `G d`.
     pub(crate) rhs: DVector<f64>,
-    /// Factors that are merged with new ones on the same variable, each with its columns in the blanket.
-    pub(crate) merged: Vec<(usize, Read)>,
+    /// Factors that are merged with a new one on the same variable; their rows are the last.
+    pub(crate) merged: Vec<Read>,
     /// Error that no step can take away, of factors that are merged.
     pub(crate) disagreement: f64,
     pub(crate) largest_rotation: f64,
@@ -57,7 +57,7 @@ impl Replacement {
         }
     }
 
-    /// What was composed adds up to what its factors say at the estimate.
+    /// Composed factors, which add up to their linearization at the estimate.
     pub(crate) fn composed(
         neighborhood: &Neighborhood,
         target: &Target,
@@ -66,23 +66,36 @@ impl Replacement {
         let mut new = Self::nothing(target, Topology::ChowLiu);
         for factor in factors {
             let read = neighborhood.read_new(&*factor)?;
-            let (top, width) = (new.rows.nrows(), read.rows.ncols() - 1);
-            let count = read.rows.nrows();
-            new.rows = new.rows.resize_vertically(top + count, 0.0);
-            new.rhs = new.rhs.resize_vertically(top + count, 0.0);
-            let mut source = 0;
-            for &m in &read.members {
-                let columns = target.columns(m - neighborhood.removed);
-                let mut block = new.rows.view_mut((top, columns.start), (count, columns.len()));
-                block.copy_from(&read.rows.columns(source, columns.len()));
-                source += columns.len();
-            }
-            let rhs = read.rows.column(width);
-            new.rhs.rows_mut(top, count).copy_from(&rhs);
-            new.largest_length = new.largest_length.max(rhs.norm());
+            let rhs = new.append(target, neighborhood.removed, &read);
+            new.largest_length = new.largest_length.max(rhs);
             new.made.push(Made { factor, linear: false });
         }
         Ok(new)
+    }
+
+    /// Adds the rows of a factor on members of the blanket, which come after the `removed` ones. Returns the length of its
+    /// residual.
+    fn append(&mut self, target: &Target, removed: usize, read: &Read) -> f64 {
+        let (top, count, width) = (self.rows.nrows(), read.rows.nrows(), read.rows.ncols() - 1);
+        self.rows = std::mem::take(&mut self.rows).resize_vertically(top + count, 0.0);
+        self.rhs = std::mem::take(&mut self.rhs).resize_vertically(top + count, 0.0);
+        let mut source = 0;
+        for &m in &read.members {
+            let columns = target.columns(m - removed);
+            let mut block = self.rows.view_mut((top, columns.start), (count, columns.len()));
+            block.copy_from(&read.rows.columns(source, columns.len()));
+            source += columns.len();
+        }
+        let rhs = read.rows.column(width);
+        self.rhs.rows_mut(top, count).copy_from(&rhs);
+        rhs.norm()
+    }
+
+    /// The square root of the information of merged factors, and their right-hand side.
+    pub(crate) fn merged_rows(&self) -> (DMatrix<f64>, DVector<f64>) {
+        let count = self.merged.iter().map(|read| read.rows.nrows()).sum();
+        let top = self.rows.nrows() - count;
+        (self.rows.rows(top, count).into_owned(), self.rhs.rows(top, count).into_owned())
     }
 
     /// The share of the offset that is within the limits of a guard.
@@ -108,7 +121,7 @@ pub(crate) struct Maker<'a> {
     pub(crate) neighborhood: &'a Neighborhood,
     pub(crate) target: &'a Target,
     pub(crate) options: &'a Options,
-    /// Whether trees are compared with the target ([`Certificate`]).
+    /// True to compare trees with the target ([`Certificate`]).
     pub(crate) certify: bool,
 }
 
@@ -173,7 +186,7 @@ impl Maker<'_> {
         })
     }
 
-    /// Whether the tree loses more than the pairs are worth that only a dense factor joins ([`Topology::Auto`]).
+    /// True if the tree loses more than the pairs are worth that only a dense factor joins ([`Topology::Auto`]).
     fn is_dense_better(&self, potentials: &[Potential]) -> bool {
         /// For each pair.
         const NATS: f64 = 1e-3;
@@ -254,7 +267,11 @@ impl Maker<'_> {
             let made = match self.merged(potential, &offset)? {
                 Some(merged) => {
                     let made = self.factor(&merged.term, &merged.offset, options)?;
-                    new.merge(target, potential.members[0], merged);
+                    new.disagreement += merged.disagreement;
+                    for read in merged.reads {
+                        new.append(target, self.neighborhood.removed, &read);
+                        new.merged.push(read);
+                    }
                     made
                 }
                 None => self.factor(potential, &offset, options)?,
@@ -299,23 +316,5 @@ impl Maker<'_> {
                 RemovalError::NotRepresentable { removed, reason: error.to_string() }
             },
         )
-    }
-}
-
-impl Replacement {
-    /// Notes the factors that a new one takes in.
-    fn merge(&mut self, target: &Target, member: usize, merged: Merged) {
-        self.disagreement += merged.disagreement;
-        for read in merged.reads {
-            let (top, count) = (self.rows.nrows(), read.rows.nrows());
-            let columns = target.columns(member);
-            let (jacobian, b) = read.rows.columns_range_pair(0..columns.len(), columns.len());
-            self.rows = std::mem::take(&mut self.rows).resize_vertically(top + count, 0.0);
-            let mut block = self.rows.view_mut((top, columns.start), (count, columns.len()));
-            block.copy_from(&jacobian);
-            self.rhs = std::mem::take(&mut self.rhs).resize_vertically(top + count, 0.0);
-            self.rhs.rows_mut(top, count).copy_from(&b);
-            self.merged.push((member, read));
-        }
     }
 }

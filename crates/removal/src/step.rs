@@ -9,7 +9,7 @@ use crate::covariance::CovarianceRoot;
 use crate::error::RemovalError;
 use crate::fallback::Fallback;
 use crate::member::Member;
-use crate::neighborhood::{Neighborhood, Read};
+use crate::neighborhood::Neighborhood;
 use crate::options::{Options, Recovery, Topology};
 use crate::overlay::{Overlay, Source};
 use crate::recover::composition;
@@ -164,8 +164,9 @@ impl Draft {
     }
 
     fn assemble(neighborhood: &Neighborhood, target: Target, replacement: Replacement) -> Self {
+        let (merged_root, merged_rhs) = replacement.merged_rows();
         let Replacement { made, rows, rhs, merged, .. } = replacement;
-        let absorbed = || neighborhood.factors.iter().chain(merged.iter().map(|(_, read)| read));
+        let absorbed = || neighborhood.factors.iter().chain(&merged);
         let gone = || absorbed().chain(&neighborhood.rejected);
         let removed_dims: usize =
             neighborhood.members[..neighborhood.removed].iter().map(|m| m.value.dim()).sum();
@@ -198,29 +199,13 @@ impl Draft {
             largest_rotation: replacement.largest_rotation,
             largest_length: replacement.largest_length,
         };
-        let (before, gradient) = with_merged(&target, &merged);
-        let gradient = rows.tr_mul(&rhs) - gradient;
+        let gradient = rows.tr_mul(&rhs) - target.gradient() - merged_root.tr_mul(&merged_rhs);
+        let rank = target.rank();
+        let mut before = target.root.resize_vertically(rank + merged_root.nrows(), 0.0);
+        before.rows_mut(rank, merged_root.nrows()).copy_from(&merged_root);
         let factors = made.into_iter().map(|m| m.factor).collect();
         let mut seen = target.members;
         seen.extend(neighborhood.fixed.iter().cloned());
         Self { step, factors, before, after: rows, gradient, seen }
     }
-}
-
-/// The square root of the information that goes and its gradient, in the columns of the blanket: of the target and of the
-/// factors that are merged with new ones.
-fn with_merged(target: &Target, merged: &[(usize, Read)]) -> (DMatrix<f64>, DVector<f64>) {
-    let count: usize = merged.iter().map(|(_, read)| read.rows.nrows()).sum();
-    let (mut gradient, mut top) = (target.gradient(), target.root.nrows());
-    let mut root = target.root.clone().resize_vertically(top + count, 0.0);
-    for (member, read) in merged {
-        let columns = target.columns(*member);
-        let (jacobian, b) = read.rows.columns_range_pair(0..columns.len(), columns.len());
-        let mut own = gradient.rows_range_mut(columns.clone());
-        own.gemv_tr(1.0, &jacobian, &b, 1.0);
-        root.view_mut((top, columns.start), (read.rows.nrows(), columns.len()))
-            .copy_from(&jacobian);
-        top += read.rows.nrows();
-    }
-    (root, gradient)
 }

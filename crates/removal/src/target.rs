@@ -1,5 +1,6 @@
 //! The target information: what the removed factors say of the blanket.
 
+use std::cell::OnceCell;
 use std::collections::BTreeSet;
 use std::ops::Range;
 
@@ -38,6 +39,8 @@ pub(crate) struct Target {
     pub(crate) explained: f64,
     /// Directions of the removed nodes that no factor determines.
     pub(crate) free: usize,
+    /// [`right_inverse`](Self::right_inverse), once it has been asked for.
+    pub(crate) inverse: OnceCell<DMatrix<f64>>,
 }
 
 /// A direction of which this share of a column's norm is known, or less, has its minimum up to
@@ -149,6 +152,7 @@ impl Target {
             held: held.iter().map(|&(world, place, _)| (world, place - removed)).collect(),
             explained,
             free,
+            inverse: OnceCell::new(),
         };
         for (_, place, motions) in &held {
             target.fill(place - removed, &motions[removed..]);

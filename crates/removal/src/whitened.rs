@@ -63,7 +63,7 @@ impl Whitened {
         &self.all * self.all.transpose()
     }
 
-    /// How the terms as they are compare to the target.
+    /// The comparison of the terms as they are with the target.
     pub(crate) fn certificate(&self, gap: Option<f64>) -> Certificate {
         let information = self.information();
         let log_det_ratio = -log_det(&information);

@@ -31,11 +31,7 @@ proptest! {
         let bare = neighborhood(KINDS[kind], count, seed);
         let scene = bare.in_a_map(&mut Draw::new(seed ^ 1));
         let node = scene.ids()[0];
-        let kept: Vec<VariableId> = scene.ids().into_iter().filter(|&id| id != node).collect();
-        let order: Vec<VariableId> = std::iter::once(node).chain(kept.iter().copied()).collect();
-        let stack = scene.stack(scene.graph.factors().map(|(_, f)| f), &order);
-        let node_dim = scene.graph.dim_at(scene.graph.variable_index(node).unwrap());
-        let before = eliminated(&stack, node_dim).0;
+        let (kept, (before, _)) = without_node(&scene, node);
         let divergence = |consistency| {
             let plan = scene.plan(node, trees(consistency));
             let step = &plan.steps()[0];

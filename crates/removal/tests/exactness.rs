@@ -6,7 +6,7 @@ mod common;
 
 use common::*;
 use evergraph_factors::Linear;
-use evergraph_model::VariableId;
+use evergraph_model::{Value, VariableId};
 use evergraph_removal::{
     Consistency, Fallback, Options, Order, Recovery, Removal, RootShift, Topology,
 };
@@ -337,4 +337,72 @@ fn a_landmark_is_seen_from_the_pose_below_it() {
     assert_eq!(factor.keys(), [b, landmark]);
     let (linear, _) = factor.downcast::<Linear>().unwrap();
     assert_eq!(linear.root_shift(), RootShift::Root);
+}
+
+/// Poses are added and removed beside three that stay, each with knowledge of the world: what removals put on one of the
+/// three is one factor, and the map's error and gradient are kept.
+#[test]
+fn unary_factors_of_removals_are_merged() {
+    use evergraph_factors::{BetweenPose2, Prior};
+    use evergraph_model::{LieGroup, Noise, Pose2};
+    for recovery in [Recovery::Glc, Recovery::Nonlinear] {
+        let mut scene = Scene::of(|change| {
+            for x in [0.0, 2.0, 4.0] {
+                change.add_variable(&Pose2::new(x, 0.1 * x, 0.2 * x));
+            }
+        });
+        let kept = scene.ids();
+        for round in 0..6 {
+            let mut change = scene.graph.change();
+            let off = 0.1 * f64::from(round);
+            let at = Pose2::new(1.0 + off, 1.0, 0.3);
+            let node = change.add_variable(&at);
+            let noise = Noise::from_sigmas(&[0.1, 0.2, 0.05]).unwrap();
+            for (k, &id) in kept.iter().enumerate() {
+                let key = scene.graph.key::<Pose2>(id).unwrap();
+                let other = scene.values().value(id).unwrap().get::<Pose2>().unwrap();
+                let z = at.between(&other).compose(&Pose2::new(0.05 * k as f64, -off, 0.02));
+                change.add_factor(BetweenPose2::new(node, key, z, noise.clone()).unwrap());
+            }
+            let z = at.compose(&Pose2::new(0.2, off, -0.1));
+            change.add_factor(Prior::new(node, z, Noise::isotropic(3, 0.5).unwrap()).unwrap());
+            let staged = scene.graph.stage(&change).unwrap();
+            scene.graph.commit(staged);
+            scene.data.resize(scene.graph.value_len(), 0.0);
+            let index = scene.graph.variable_index(node.id()).unwrap();
+            let range = scene.graph.value_range(index);
+            scene.data[range].copy_from_slice(Value::new(&at).storage());
+
+            let plan = scene.plan(node.id(), Options::tree().with_recovery(recovery));
+            let (_, before) = without_node(&scene, node.id());
+            let after = reduced(&scene, &plan);
+            let now = system(&after, &kept);
+            let size = before.1.amax().max(1.0);
+            assert!((&before.1 - &now.1).amax() < 1e-9 * size, "{recovery:?} {round}: gradient");
+            // With the node at its best; its error above that is what the constant has.
+            let unary = after.graph.factors().filter(|(_, factor)| factor.keys().len() == 1);
+            assert_eq!(unary.count(), 1, "{recovery:?} {round}");
+            let error = |scene: &Scene| scene.graph.error(&scene.data).unwrap();
+            let best = best_error(&scene, node.id());
+            let off = best - error(&after) - plan.constant();
+            assert!(off.abs() < 1e-9 * best, "{recovery:?} {round}: {off}");
+            scene = after;
+        }
+    }
+}
+
+/// The error of the linear model with a node at its best and all else where it is.
+fn best_error(scene: &Scene, node: VariableId) -> f64 {
+    let order = scene.ids();
+    let (jacobian, residual) = scene.stack(scene.graph.factors().map(|(_, f)| f), &order);
+    let place = order.iter().position(|&id| id == node).unwrap();
+    let start: usize = order[..place]
+        .iter()
+        .map(|&id| scene.graph.dim_at(scene.graph.variable_index(id).unwrap()))
+        .sum();
+    let dim = scene.graph.dim_at(scene.graph.variable_index(node).unwrap());
+    let own = jacobian.columns(start, dim).into_owned();
+    let gradient = own.tr_mul(&residual);
+    let step = own.tr_mul(&own).cholesky().unwrap().solve(&gradient);
+    0.5 * residual.norm_squared() - 0.5 * gradient.dot(&step)
 }

@@ -81,11 +81,7 @@ proptest! {
         let mut draw = Draw::new(seed ^ 1);
         let scene = bare.in_a_map(&mut draw);
         let node = scene.ids()[0];
-        let kept: Vec<VariableId> = scene.ids().into_iter().filter(|&id| id != node).collect();
-        let order: Vec<VariableId> = std::iter::once(node).chain(kept.iter().copied()).collect();
-        // Directions of the node that nothing knows are nobody's loss: no inverse of the whole.
-        let stack = scene.stack(scene.graph.factors().map(|(_, f)| f), &order);
-        let full = eliminated(&stack, scene.graph.dim_at(scene.graph.variable_index(node).unwrap()));
+        let (kept, full) = without_node(&scene, node);
         // The estimate is where the map as it is has its mean: what is left of the gradient there
         // counts as something else's, before and after.
         let moments = |(lambda, eta): &(DMatrix<f64>, DVector<f64>)| {

@@ -69,12 +69,13 @@ impl Replay {
         });
         let composed = |at: usize| {
             let (known, value) = standing?;
-            what.compose_rigidly(known, &value, at).map(End::Standing)
+            let is_landmark = !self.nodes[self.links[link].ends[at]].kind.is_pose();
+            let is_held = is_landmark && what.is_rigid();
+            is_held.then(|| what.compose(known, &value, at))?.map(End::Standing)
         };
-        let is_landmark = |at: usize| !self.nodes[self.links[link].ends[at]].kind.is_pose();
         let mut ends: SmallVec<[End; 2]> = SmallVec::new();
         for (at, end) in found.iter().enumerate() {
-            let Some(end) = end.or_else(|| composed(at).filter(|_| is_landmark(at))) else {
+            let Some(end) = end.or_else(|| composed(at)) else {
                 return Ok(false);
             };
             ends.push(end);

@@ -142,36 +142,31 @@ impl Observed {
         match self {
             Self::Relative { .. } if one_kind => Ties::Poses,
             Self::Relative { noise, .. } if has_full_rank(noise) => Ties::Sighting,
-            Self::Linear(constraint) if one_kind && kinds.len() > 1 => constraint.ties(),
+            Self::Linear(constraint) if one_kind && kinds.len() > 1 && constraint.is_rigid() => {
+                Ties::Poses
+            }
             _ => Ties::Weak,
         }
     }
 
-    /// [`compose`](Self::compose) by a linear factor that holds all of its variables relative to each other.
-    pub fn compose_rigidly(
-        &self,
-        known: usize,
-        value: &Geometry,
-        target: usize,
-    ) -> Option<Geometry> {
-        let Self::Linear(constraint) = self else { return None };
-        let known = constraint.points.get(known).filter(|_| constraint.is_rigid())?;
-        let origin = match known {
-            Geometry::Pose2(_) => Geometry::Pose2(LieGroup::identity()),
-            Geometry::Pose3(_) => Geometry::Pose3(LieGroup::identity()),
-            Geometry::Point2(_) | Geometry::Point3(_) => return None,
-        };
-        // The motion of the world that brings the known variable to its value.
-        let motion = known.between(&origin)?.moved(value)?;
-        constraint.points.get(target)?.moved(&motion)
+    /// True for a linear factor that holds all of its variables in place relative to its first, a pose.
+    pub fn is_rigid(&self) -> bool {
+        matches!(self, Self::Linear(constraint) if constraint.is_rigid())
     }
 
     /// The value of the variable at `target` of its ends, given that of the one at `known`.
     pub fn compose(&self, known: usize, value: &Geometry, target: usize) -> Option<Geometry> {
         let Self::Relative { measurement, sensor, .. } = self else {
             let Self::Linear(constraint) = self else { return None };
-            let Constraint { points, .. } = &**constraint;
-            return points.get(known)?.between(points.get(target)?)?.moved(value);
+            let (known, target) = (constraint.points.get(known)?, constraint.points.get(target)?);
+            let origin = match known {
+                Geometry::Pose2(_) => Geometry::Pose2(LieGroup::identity()),
+                Geometry::Pose3(_) => Geometry::Pose3(LieGroup::identity()),
+                Geometry::Point2(_) | Geometry::Point3(_) => return None,
+            };
+            // The motion of the world that brings the known variable to its value.
+            let motion = known.between(&origin)?.moved(value)?;
+            return target.moved(&motion);
         };
         let backwards = target == 0;
         match (measurement, value) {
@@ -198,21 +193,12 @@ pub(crate) fn has_full_rank(noise: &Noise) -> bool {
 }
 
 impl Constraint {
-    /// Whether given all variables but one there is nothing free in the last, as far as the rank
-    /// tells.
-    fn ties(&self) -> Ties {
-        let singular = self.sqrt_information.singular_values();
-        let rank = singular.iter().filter(|&&s| s > 1e-9 * singular.max()).count();
-        let dim = self.points[0].value().dim();
-        if rank >= (self.points.len() - 1) * dim { Ties::Poses } else { Ties::Weak }
-    }
-
-    /// Whether it holds all of its variables in place relative to the first, a pose.
+    /// True if all variables are held in place relative to the first, a pose, as far as the rank tells.
     fn is_rigid(&self) -> bool {
         let singular = self.sqrt_information.singular_values();
         let rank = singular.iter().filter(|&&s| s > 1e-9 * singular.max()).count();
-        let dims: usize = self.points.iter().map(|point| point.value().dim()).sum();
-        rank + self.points[0].value().dim() >= dims
+        let dims = self.points.iter().map(|point| point.value().dim());
+        rank + self.points[0].value().dim() >= dims.sum()
     }
 
     pub fn points(&self) -> Vec<Value> {

@@ -17,7 +17,7 @@ pub(crate) fn explain(error: &SmootherError, id: &dyn Fn(VariableId) -> Option<u
         SmootherError::Singular(singular @ Singular::Variables { .. }) => {
             format!(
                 "{}. Add measurements or priors that determine them. Measurements whose standard deviations or \
-                 distances differ by more than 1e11 are lost in rounding beside the others",
+                 distances differ by more than 1e11 are lost in the rounding of the others",
                 singular.describe(name)
             )
         }

@@ -15,6 +15,7 @@ use faer::{Mat, Side};
 use crate::dense::triangularize;
 use crate::error::{FreeVariable, Singular};
 use crate::linearization::Blocks;
+use crate::mix::mixed;
 
 /// Null directions looked for at first: more than any gauge has (7 with scale).
 const DIRECTIONS: usize = 12;
@@ -242,14 +243,10 @@ fn softest(
     Some(Mat::from_fn(dim, free, |i, j| directions[(i, count - 1 - j)]))
 }
 
-/// A fixed start in general position: bits mixed as by `SplitMix64` (Steele, Lea and Flood, 2014), in
-/// [-1, 1). A formula that is a sum of products of a row's and a column's numbers has low rank.
+/// A fixed start in general position, in [-1, 1). A formula that is a sum of products of a row's and a column's numbers has
+/// low rank.
 fn start(row: u64, column: u64) -> f64 {
-    let mut bits = (row << 16 | column).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    bits ^= bits >> 31;
-    (bits >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+    (mixed(row << 16 | column) >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
 }
 
 /// A square root of `(J X)ᵀ(J X)`, by QR of a few rows at a time.

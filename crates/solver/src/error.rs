@@ -137,7 +137,7 @@ impl fmt::Display for Singular {
                 write!(
                     f,
                     ". Add measurements or priors that determine {them}, or add the variable{s} together with them. \
-                     Measurements whose standard deviations or distances differ by more than 1e11 are lost in rounding beside \
+                     Measurements whose standard deviations or distances differ by more than 1e11 are lost in the rounding of \
                      the others"
                 )
             }
@@ -214,7 +214,7 @@ mod tests {
         let one = "the problem is underdetermined: P0: 1 of 2 directions unconstrained: x";
         assert_eq!(free(1).describe(name), one);
         let advice = ". Add measurements or priors that determine it, or add the variable together with them. \
-                      Measurements whose standard deviations or distances differ by more than 1e11 are lost in rounding beside \
+                      Measurements whose standard deviations or distances differ by more than 1e11 are lost in the rounding of \
                       the others";
         assert_eq!(free(1).to_string(), format!("{}{advice}", one.replace('P', "x")));
         let many = free(7).describe(name);

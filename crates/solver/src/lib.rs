@@ -67,6 +67,7 @@ mod factorization;
 mod index;
 mod inspect;
 mod linearization;
+mod mix;
 mod optimize;
 mod optimum;
 mod ordering;

@@ -46,8 +46,8 @@ pub struct Relinearization {
     pub sweep: Option<Fluid>,
     /// Over how many changes the work of relinearizing what a sweep found is spread, unless it is
     /// next to nothing; 1 does it all in the change that finds it. The estimate is that of the old
-    /// linearization points until all is done. What is beyond the threshold of the frequent check is
-    /// relinearized at once, whatever this says.
+    /// linearization points until all is done. Variables beyond twice the threshold of the frequent check
+    /// are relinearized at once, whatever this says.
     pub spread: NonZeroU32,
     /// Every so many changes all variables are relinearized and solved until convergence. Exact,
     /// and the slowest step by far; iSAM uses 100, the GLC paper 50.
@@ -110,8 +110,8 @@ impl Fluid {
 }
 
 impl Relinearization {
-    /// Every 10 changes what exceeds 0.09, if anything exceeds 0.25, at once, and every 100 a sweep of
-    /// what exceeds 0.02, spread over 10. The default.
+    /// Every 10 changes all variables beyond 0.09 if one is beyond 0.25, at once if one is beyond 0.5, and every 100 a
+    /// sweep of those beyond 0.02, spread over 10. The default.
     pub const BOTH: Self = Self {
         fluid: Some(Fluid { threshold: 0.25, share: 0.36, every: interval(10) }),
         sweep: Some(Fluid { threshold: 0.02, share: 1.0, every: interval(100) }),

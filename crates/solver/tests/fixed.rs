@@ -115,6 +115,26 @@ impl Dense {
     }
 }
 
+/// The covariance of all variables times a vector, relative to the joint covariance of `ids`.
+fn check_product(smoother: &Smoother, ids: &[VariableId], joint: &DMatrix<f64>, what: &str) {
+    let graph = smoother.graph();
+    let ranges = ids.iter().map(|id| graph.tangent_range(graph.variable_index(*id).unwrap()));
+    let scalars: Vec<usize> = ranges.flatten().collect();
+    let mut b = vec![0.0; graph.tangent_len()];
+    scalars.iter().enumerate().for_each(|(k, &at)| b[at] = 1.0 + (k % 7) as f64);
+    let product = smoother.covariances().times(&b).unwrap();
+    let gathered = DVector::from_iterator(scalars.len(), scalars.iter().map(|&at| b[at]));
+    let expected = joint * gathered;
+    for (&at, expected) in scalars.iter().zip(&expected) {
+        let off = (product[at] - expected).abs();
+        assert!(off <= 1e-6 * (1.0 + joint.amax()), "{what}: product is off by {off}");
+    }
+    assert_eq!(
+        smoother.covariances().times(&b[..b.len().saturating_sub(1)]).is_none(),
+        !b.is_empty()
+    );
+}
+
 /// Estimates, covariances and error are those of the dense equations; fixed variables stay.
 fn check(smoother: &mut Smoother, fixed: &BTreeMap<VariableId, Value>, what: &str) {
     let dense = Dense::of(smoother);
@@ -154,6 +174,7 @@ fn check(smoother: &mut Smoother, fixed: &BTreeMap<VariableId, Value>, what: &st
             assert!(off <= 1e-6 * scale, "{what}: covariance ({i}, {j}) is off by {off}");
         }
     }
+    check_product(smoother, &ids, &joint, what);
     for (id, value) in fixed {
         assert_eq!(smoother.estimate_value(*id).unwrap().storage(), value.storage(), "{what}");
     }

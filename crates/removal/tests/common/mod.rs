@@ -349,6 +349,19 @@ pub fn priced(scene: &Scene, nodes: &[VariableId], order: Order, options: Option
         .unwrap()
 }
 
+/// The information and the gradient of everything but a node, which is eliminated, and the ids in that order. Directions of
+/// the node that no factor knows are no loss: nothing is inverted as a whole.
+pub fn without_node(
+    scene: &Scene,
+    node: VariableId,
+) -> (Vec<VariableId>, (DMatrix<f64>, DVector<f64>)) {
+    let kept: Vec<VariableId> = scene.ids().into_iter().filter(|&id| id != node).collect();
+    let order: Vec<VariableId> = std::iter::once(node).chain(kept.iter().copied()).collect();
+    let stack = scene.stack(scene.graph.factors().map(|(_, f)| f), &order);
+    let dim = scene.graph.dim_at(scene.graph.variable_index(node).unwrap());
+    (kept, eliminated(&stack, dim))
+}
+
 /// Ways that keep both the gradient and every direction.
 pub fn keeping() -> [Options; 9] {
     let kept = Options::tree();

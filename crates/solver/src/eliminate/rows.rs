@@ -15,6 +15,7 @@ use super::job::Failure;
 use super::system::{QR_PIVOT, QR_ROUNDING, System};
 use super::workspace::{Run, Workspace};
 use crate::dense::triangularize;
+use crate::mix::mixed;
 use crate::profile::Phase;
 use crate::tree::{Form, Numeric, Structure};
 
@@ -115,9 +116,7 @@ fn place_factor(
 
 /// A sign for a column of a factor, as good as random.
 fn sign(factor: FactorIndex, column: usize) -> f64 {
-    let mut bits = (factor.index() as u64) << 16 ^ column as u64;
-    bits = bits.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    bits = (bits ^ (bits >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let bits = mixed((factor.index() as u64) << 16 | column as u64);
     if bits >> 63 == 0 { 1.0 } else { -1.0 }
 }
 
